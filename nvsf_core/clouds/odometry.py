@@ -29,7 +29,7 @@ def odometry_path(
 
     Args:
         scans: Of each its points (m, 3) in the sensor's frame at firing time, metres, and their times (m,),
-            in sweeps, -0.5 to 0.5.
+            in sweeps after its instant.
         first_step: (4, 4) motion from one scan to the next at the start; None = the sensor stands.
 
     Raises:

@@ -104,9 +104,9 @@ class ViewEntry:
     truth: tuple[tuple[str, Path], ...] = ()
     """Cameras, each with the folder of its true images of this view, taken for example by a second camera:
     `{ image_00 = "right_camera" }`; a relative folder lies below the scene's root. They are files named,
-    sized and distorted as that camera's recorded ones (`plain` and `bag` drives: PNG or JPEG; others: PNG);
-    a file's number is that of the frame at whose time it was taken, on a path of the view's own, too. Nothing
-    but measuring reads them."""
+    sized and distorted as that camera's recorded ones (PNG or, but for the kind `kitti360`, JPEG); a file's
+    number is that of the frame at whose time it was taken, on a path of the view's own, too. Nothing but
+    measuring reads them."""
 
     def __post_init__(self) -> None:
         """Refuse values that would otherwise fail only after training."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.drives.drive import drive_of, has_data
-from nvsf_core.drives.entries import KITTI360, OWN_ROOT_KINDS
+from nvsf_core.drives.entries import KITTI360
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.plain.layout import IMAGE_KINDS, numbered_files
 from nvsf_core.drives.view_checks import asked_frames
@@ -49,7 +49,7 @@ def truth_files(scene: SceneEntry, view: ViewEntry) -> dict[str, dict[int, Path]
 
 def _files(scene: SceneEntry, folder: Path, frames: Iterable[int]) -> dict[int, Path]:
     """Frame number to image, there or not, of the names and kinds that the reader of the drive accepts."""
-    others = numbered_files(folder, IMAGE_KINDS) if scene.kind in OWN_ROOT_KINDS else {}
+    others = {} if scene.kind == KITTI360 else numbered_files(folder, IMAGE_KINDS)
     files = {frame: folder / f"{frame:010d}.png" for frame in frames}
     return {frame: file if file.is_file() else others.get(frame, file) for frame, file in files.items()}
 

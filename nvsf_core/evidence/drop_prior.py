@@ -122,7 +122,7 @@ def build_drop_prior(
     Args:
         laser: (N,) int, 0 on top, -1 unknown.
         firing: (N,) int, number within the sweep, -1 unknown.
-        sweep_fraction: (N,) sweeps after the pose's instant, NaN unknown.
+        sweep_fraction: (N,) -azimuth / 2 pi of the firings, -0.5..0.5, NaN unknown.
         offsets: (n + 1,) int: scan k's returns are offsets[k] .. offsets[k + 1] - 1.
         firings: (n,) int, firings of each scan. 0 = unknown: its returns are assigned by their sweep fraction
             to evenly spaced nominal firings.

@@ -50,6 +50,10 @@ _UNSEEN_COST = 0.5
 """Difference in grey value that is assumed where one of two images does not show a candidate."""
 _BASELINE_FLOOR_M = 0.05
 """Nearer images count as taken at the same place."""
+OTHER_WAY = -0.5
+"""Cosine of the angle between two axes: beyond 120 degrees cameras show nothing of what the other does."""
+_FARTHER_M = 8.0
+"""A road's other lane is nearer, and images of one's own are not farther apart."""
 
 
 def sweep_shrinking(pinhole: Pinhole) -> int:
@@ -142,8 +146,8 @@ def inverse_depth(
 def nearest_sources(target_pose: np.ndarray, source_poses: np.ndarray, most: int = 2) -> list[int]:
     """Indices of the (at most) `most` cameras nearest to a view, the nearest first; ties keep their order.
 
-    Those that look more than 90 degrees away from where the view looks come after all others: where a road is
-    driven there and back, they are near and show nothing of it.
+    Those that look the other way count as some metres farther away: where a road is driven there and back,
+    they are near and show nothing of it.
 
     Args:
         target_pose: (4, 4) camera to scene-local frame, of the view.
@@ -151,8 +155,8 @@ def nearest_sources(target_pose: np.ndarray, source_poses: np.ndarray, most: int
         most: Largest number of indices.
     """
     distances = np.linalg.norm(source_poses[:, :3, 3] - target_pose[:3, 3], axis=1)
-    looks_away = source_poses[:, :3, 2] @ target_pose[:3, 2] < 0.0
-    return [int(i) for i in np.lexsort((distances, looks_away))[:most]]
+    looks_back = source_poses[:, :3, 2] @ target_pose[:3, 2] < OTHER_WAY
+    return [int(i) for i in np.argsort(distances + _FARTHER_M * looks_back, kind="stable")[:most]]
 
 
 def view_depth(

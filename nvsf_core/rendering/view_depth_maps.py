@@ -12,7 +12,7 @@ from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.kernels.images.depth_smoothing import smoothed
 from nvsf_core.kernels.images.depth_splat import agreed_depths, splat_depth_map
 from nvsf_core.kernels.images.filling import nearest_known
-from nvsf_core.rendering.reproject_camera import FAR_M
+from nvsf_core.rendering.reproject_camera import FAR_M, OTHER_WAY
 from nvsf_core.rendering.sources import SeenPoints, hides
 from nvsf_core.rendering.warping import plane_rays, sample, shrunk, source_pixels
 
@@ -262,7 +262,7 @@ def _inverted(motions: np.ndarray) -> np.ndarray:
 def baseline_sources(poses: np.ndarray, own: int, known: Sequence[int], most: int) -> list[int]:
     """Images at several distances from an image: near ones look alike, far ones tell depths apart.
 
-    Images that look more than 90 degrees away from it are not chosen.
+    Images that look the other way are not chosen.
 
     Args:
         poses: (j, 4, 4) camera to scene-local frame of all images.
@@ -270,8 +270,8 @@ def baseline_sources(poses: np.ndarray, own: int, known: Sequence[int], most: in
         known: Numbers of the images to choose from.
         most: How many are chosen.
     """
-    looks_alike = poses[:, :3, 2] @ poses[own][:3, 2] >= 0.0
-    left = [number for number in known if number != own and looks_alike[number]]
+    looks_back = poses[:, :3, 2] @ poses[own][:3, 2] < OTHER_WAY
+    left = [number for number in known if number != own and not looks_back[number]]
     chosen: list[int] = []
     for step in range(min(most, len(left))):
         away_m = np.linalg.norm(poses[left][:, :3, 3] - poses[own][:3, 3], axis=1)

@@ -5,6 +5,8 @@ each, so the next laser begins where the azimuth wraps. All lasers fire together
 each laser's columns, shifted by its own constant, give the firings of the sweep.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from nvsf_core.errors import ShapeError
@@ -58,6 +60,12 @@ def recover_lasers(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray,
         laser = np.where(residual_rad < _RESIDUAL_RAD, nearest, -1).astype(np.int16)
         return laser, BEAM_TABLE, found
     return np.full(len(points_m), -1, np.int16), UNKNOWN, found
+
+
+def is_unlike(table: LaserTable, scans_m: Sequence[np.ndarray]) -> bool:
+    """Whether the returns of most scans, (n, 3) each as of `recover_lasers`, are not of a sensor's lasers."""
+    sources = [recover_lasers(np.ascontiguousarray(points_m), table)[1] for points_m in scans_m]
+    return 2 * sources.count(UNKNOWN) > len(sources)
 
 
 def recover_firings(

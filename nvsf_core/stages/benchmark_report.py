@@ -42,7 +42,7 @@ def make_benchmark_report(
         home: NVSF_HOME.
         scene_names: Scenes of this run, shown first and in this order; then the home's others, by name.
         failures: Scene to the reason why this run of it failed; its earlier outputs are shown. What stages
-            failed with in other runs, and have not succeeded since, is shown of every other scene.
+            failed with in other runs, and have not succeeded since, is shown of all others.
         no_data: Catalogue scenes whose recordings are not on this machine.
         curves: Folder with error over training time by `make bench`, shown for the page's scenes; None = not
             shown.

@@ -173,9 +173,8 @@ def _follow_metrics(task: Task, location: str, found: Mapping[str, Any]) -> None
     written = dict(read_document(folder / MANIFEST_NAME))
     if _errors(written.get("field_metrics", [])) == _errors(found["field_metrics"]):
         return
-    kept = {key: value for key, value in written.items() if key not in (SEAL, CHECKSUMS)}
-    with task.store.publish(location) as anew:
-        rewrite_manifest(folder, anew, {**found, **kept, "field_metrics": found["field_metrics"]})
+    kept = {CHECKSUMS: {}} | {key: value for key, value in written.items() if key != SEAL}
+    rewrite_manifest(folder, {**found, **kept, "field_metrics": found["field_metrics"]})
     task.progress(f"[{task.scene.name}] dataset: {location}, its card says what was measured since")
 
 

@@ -14,7 +14,7 @@ from nvsf_core.geometry.se3 import poses_in
 from nvsf_core.reporting.previews import scan_top_view
 from nvsf_core.sensors.bonnet import ScanReturns, fit_bonnet
 from nvsf_core.sensors.found_table import FoundTable, find_table
-from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, recover_lasers
+from nvsf_core.sensors.lasers import FILE_ORDER, UNKNOWN, is_unlike
 from nvsf_core.sensors.own_vehicle import OwnVehicle, PlacedScan, learn_own_vehicle
 from nvsf_core.sensors.scan_timing import RING, ScanTiming, scan_timing
 from nvsf_core.sensors.sensor_errors import learn_intensity_gain, learn_range_bias
@@ -130,8 +130,7 @@ def _table(sensor: str, scans: list[Scan], is_assumed: bool) -> tuple[LaserTable
 
 def _of_another(chosen: list[Scan]) -> tuple[LaserTable, str]:
     """The assumed sensor's table, or a found one where most of the scans are not of that sensor."""
-    sources = [recover_lasers(np.ascontiguousarray(one.points[:, :3]), SENSOR)[1] for one in chosen]
-    if 2 * sources.count(UNKNOWN) <= len(sources):
+    if not is_unlike(SENSOR, [one.points[:, :3] for one in chosen]):
         return SENSOR, ""
     try:
         made = _found(chosen)

@@ -248,8 +248,7 @@ CONTRACT: tuple[FileSpec, ...] = (
         (
             Entry(f"{CAMERA}_rgb", "u1", ("images", "height", "width", 3), "1", "0 to 255", optional=True),
             Entry(f"{CAMERA}_valid", "bool", ("height", "width"), "", "the lens sees it", optional=True),
-            Entry(f"{CAMERA}_frame", "i8", ("images",), "1", "nearest recorded frame", optional=True),
-            Entry(f"{CAMERA}_time_s", "f8", ("images",), "s", "instant of the scene", optional=True),
+            Entry(f"{CAMERA}_frame", "i8", ("images",), "1", "frame that was asked for", optional=True),
             Entry(f"{CAMERA}_row", "i8", ("images",), "1", "row of the view's image", optional=True),
         ),
         "cameras",

@@ -119,10 +119,13 @@ def test_the_two_nearest_sources_are_chosen() -> None:
     assert nearest_sources(pose(0.0), places) == [1, 2]
 
 
-def test_sources_that_look_the_other_way_come_last() -> None:
-    places = np.stack([pose(x) for x in (0.5, 1.0, 5.0, 9.0)])
+def test_sources_that_look_the_other_way_come_after_those_nearby_and_not_after_far_ones() -> None:
+    places = np.stack([pose(x) for x in (0.5, 1.0, 5.0, 80.0)])
     places[:2, :3, :3] = np.diag([-1.0, 1.0, -1.0])
-    assert nearest_sources(pose(0.0), places, 3) == [2, 3, 0]
+    assert nearest_sources(pose(0.0), places, 3) == [2, 0, 1]
+    across = places.copy()
+    across[:2, :3, :3] = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    assert nearest_sources(pose(0.0), across, 3) == [0, 1, 2], "a bend is no way back"
 
 
 def test_wrong_shapes_are_refused() -> None:

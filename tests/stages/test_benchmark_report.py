@@ -279,6 +279,11 @@ def test_failures_of_earlier_runs_are_shown_until_the_stage_succeeds(tmp_path: P
     assert "avenue failed:" in text and "street failed: out of memory" in text
     forget_failure(store, "frames")
     forget_failure(store, "field")
+    remember_failure(store, "field/large/0", "it was too large")
+    forget_failure(store, "field/lean/0")
+    _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
+    assert "field large 0: it was too large" in text and "if it is settled, remove" in text
+    forget_failure(store, "field/large/0")
     (new.path(".failed") / "frames.json").write_text("half")
     _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
     assert "street failed" not in text and "frames: failed; why cannot be read" in text

@@ -160,6 +160,7 @@ def test_what_is_measured_later_comes_into_manifest_and_card_and_no_other_file(
     _, folders = _run(task)
     folder = folders["shift_1m"]
     (folder / "PINNED").touch()
+    (folder / "labels.txt").write_text("a reader's own")
     own = {"manifest.json", "card.json", "card.md"}
 
     def state() -> tuple[dict[str, bytes], dict[str, tuple[int, int]], int]:
@@ -185,7 +186,9 @@ def test_what_is_measured_later_comes_into_manifest_and_card_and_no_other_file(
     assert b"| 0.7 | 2 of 2 |" in texts["card.md"] and b"| 0.6 | 2 of 2 |" in before[0]["card.md"]
     (errors,) = [row for row in json.loads(texts["card.json"])["errors"] if row["metric"] == "f_score"]
     assert errors["value"] == pytest.approx(0.7)
-    assert damaged_data_set(folder) is None and "PINNED" not in texts["manifest.json"].decode()
+    assert "PINNED" not in texts["manifest.json"].decode()
+    (folder / "labels.txt").write_text("more of them")
+    assert damaged_data_set(folder) is None, "what a reader puts beside it is none of the data set's"
     manifest = json.loads(texts["manifest.json"])
     bare = {key: value for key, value in manifest.items() if key not in ("field_metrics", "rendering")}
     write_manifest(folder, {key: value for key, value in bare.items() if key != SEAL})  # as of `nvsf view`

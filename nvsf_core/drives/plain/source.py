@@ -303,7 +303,10 @@ def _after_frame(where: str, time: np.ndarray, is_return: np.ndarray, stamp_s: f
     if np.issubdtype(time.dtype, np.integer) or np.abs(seconds[is_return]).max() > _LEAST_NANOSECONDS:
         seconds *= 1e-9
     first_s, last_s = float(seconds[is_return].min()), float(seconds[is_return].max())
-    if max(-first_s, last_s) <= _LONGEST_SCAN_S:
+    middle_s = 0.5 * (first_s + last_s)
+    # Of a clock that begins with the drive, the first scans' times are as small as times after the frame's.
+    is_same_clock = stamp_s is not None and abs(middle_s - stamp_s) < 0.5 * abs(middle_s)
+    if max(-first_s, last_s) <= _LONGEST_SCAN_S and not is_same_clock:
         return seconds
     # Single precision is coarser than a hundredth of a sweep from some hours on.
     if last_s - first_s > _LONGEST_SCAN_S or (
@@ -314,5 +317,5 @@ def _after_frame(where: str, time: np.ndarray, is_return: np.ndarray, stamp_s: f
             f"nanoseconds, after the frame's time or of a clock (then as double or 64-bit integers), found "
             f"{first_s:.10g} to {last_s:.10g} s as {time.dtype}; correct their unit or type"
         )
-    is_same_clock = stamp_s is not None and abs(first_s - stamp_s) <= _LONGEST_SCAN_S
-    return seconds - (stamp_s if stamp_s is not None and is_same_clock else first_s)
+    is_near = stamp_s is not None and abs(first_s - stamp_s) <= _LONGEST_SCAN_S
+    return seconds - (stamp_s if stamp_s is not None and is_near else first_s)

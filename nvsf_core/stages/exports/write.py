@@ -1,7 +1,7 @@
 """Writes a data set: scans and images in each format that its view asks for, and the manifest's rows."""
 
 import os
-import shutil
+import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,6 @@ from nvsf_core.stages.views.files import write_images, write_scans
 from nvsf_core.stages.views.instances import depth_m
 from nvsf_core.stages.views.view import camera_models
 from nvsf_core.stores.checksums import file_checksums
-from nvsf_core.stores.removal import PIN_NAME, carry_pin
 
 SCHEMA_VERSION = 3
 """Of the manifest and the files that it names."""
@@ -76,30 +75,23 @@ def finish_data_set(folder: Path, manifest: Mapping[str, Any]) -> None:
     write_manifest(folder, {**manifest, CHECKSUMS: file_checksums(folder)})
 
 
-def rewrite_manifest(before: Path, folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Make a data set's folder anew with another manifest and its card; all other files are the same.
+def rewrite_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """Replace a data set's manifest and card, each at once; all other files stay as they are.
 
     The manifest keeps the time of the one before: it says when the data set was made.
 
     Args:
-        before: Folder of the data set as it is.
-        folder: Empty folder beside it.
-        manifest: The new manifest's entries, without checksums.
+        folder: Folder of the data set.
+        manifest: The new manifest's entries, with the checksums of the files that stay.
     """
-    own = shutil.ignore_patterns(MANIFEST_NAME, JSON_NAME, MARKDOWN_NAME, PIN_NAME)
-    shutil.copytree(before, folder, copy_function=_link, ignore=own, dirs_exist_ok=True)
-    finish_data_set(folder, manifest)
-    found = (before / MANIFEST_NAME).stat()
-    os.utime(folder / MANIFEST_NAME, ns=(found.st_atime_ns, found.st_mtime_ns))
-    carry_pin(before, folder)
-
-
-def _link(source: str, target: str) -> None:
-    """A second name of the same bytes; a copy where the disk has no such names."""
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copy2(source, target)
+    made = (folder / MANIFEST_NAME).stat()
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".") as anew:
+        new = Path(anew)
+        write_card(new, manifest)
+        write_manifest(new, {**manifest, CHECKSUMS: {**manifest[CHECKSUMS], **file_checksums(new)}})
+        os.utime(new / MANIFEST_NAME, ns=(made.st_atime_ns, made.st_mtime_ns))
+        for name in (JSON_NAME, MARKDOWN_NAME, MANIFEST_NAME):
+            (new / name).replace(folder / name)
 
 
 def _scan(folder: Path, view: RenderedView, index: int) -> dict[str, Any]:

@@ -4,16 +4,21 @@ A frame that cannot be used is named with its reason, in `import.json` and to th
 written. The drive appears under its name only when it is complete.
 """
 
+import contextlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from nvsf_core.drives.drive import AbstractDrive, DriveFacts, drive_of
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kinds import MOST_FRAMES
 from nvsf_core.drives.posed import AbstractPosedDrive
 from nvsf_core.errors import DataError
+from nvsf_core.sensors.lasers import is_unlike
+from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages.imports.kitti360_layout import Kitti360Target
 from nvsf_core.stages.imports.odometry import found_path
 from nvsf_core.stages.imports.plain_layout import PlainTarget
@@ -24,6 +29,8 @@ TARGETS: dict[str, type[AbstractTarget]] = {"plain": PlainTarget, "kitti360": Ki
 """Layouts that a drive can be written in."""
 _HOLD_OUT = 10
 """Every tenth frame of the suggested catalogue is a test frame, as in the paper's moving scenes."""
+_LOOKED_AT = 5
+"""Scans that tell whether a sensor that is assumed is another."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,6 +87,9 @@ def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[s
     # A file of poses may be of the whole drive.
     own = {frame: pose for frame, pose in facts.poses.items() if frame in source.frames}
     facts = replace(facts, poses=own)
+    if scene.is_lidar_assumed and facts.has_scans and is_unlike(HDL_64E, _some_scans_m(source)):
+        facts = replace(facts, sensor="")
+        notes.append(f"the scans are not of an {HDL_64E.name}: their lasers are to be found")
     target = TARGETS[layout](folder, scene, facts)
     left_out: list[str] = []
     scans, images = 0, 0
@@ -105,6 +115,16 @@ def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[s
     )  # fmt: skip
     _write_log(folder, scene, layout, target, done)
     return done
+
+
+def _some_scans_m(source: AbstractDrive) -> list[np.ndarray]:
+    """Points (n, 3) of a few scans that can be read."""
+    found = []
+    for frame in source.frames[:: max(1, len(source.frames) // _LOOKED_AT)]:
+        with contextlib.suppress(DataError):
+            recorded = source.find_scan(frame)
+            found += [] if recorded is None else [source.parse_scan(recorded).points[:, :3]]
+    return found[:_LOOKED_AT]
 
 
 def _scan(

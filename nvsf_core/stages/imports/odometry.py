@@ -14,6 +14,8 @@ from nvsf_core.errors import DataError
 from nvsf_core.sensors.sweep import sweep_fraction
 
 _START_SCANS = 8
+_LEAST_OF_STEP = 0.5
+"""Least share of the step between scans that a sweep lasts, for its points' times to be used."""
 _COMPARED = 4000
 _NEAR_M, _FAR_M = 3.0, 40.0
 _OVERLAP_M = 0.3
@@ -94,12 +96,18 @@ def _readable(source: AbstractPosedDrive, frame: int) -> Scan | None:
 def times_in_sweeps(source: AbstractPosedDrive, scan: Scan) -> np.ndarray:
     """Times (m,) of a scan's points after its instant, in sweeps; 0 where scans are compensated already.
 
+    They are 0, too, where sweeps are much shorter than the step between them, as of key frames: KISS-ICP
+    takes the motion of a whole step to lie between a scan's first point and its last.
+
     Raises:
         DataError: The drive's times cannot be read.
     """
     if not source.scene.is_to_compensate:
         return np.zeros(len(scan.points))
-    period_s = source.times().sweep_period_s
+    times = source.times()
+    period_s, steps_s = times.sweep_period_s, np.diff(times.time_s)
+    if len(steps_s) and period_s < _LEAST_OF_STEP * float(np.median(steps_s)):
+        return np.zeros(len(scan.points))
     if scan.offset_s is not None and period_s > 0.0:
         return scan.offset_s / period_s
     return sweep_fraction(np.arctan2(scan.points[:, 1].astype(np.float64), scan.points[:, 0]))

@@ -23,19 +23,23 @@ def remember_failure(store: SceneStore, stage: str, words: str) -> None:
 
     Args:
         store: The scene's.
-        stage: Name of the stage.
+        stage: Name of the stage; of one that is run per recipe its output's place, as `field/lean/0`.
         words: The error, without scene and stage.
     """
     with contextlib.suppress(OSError, StoreError):
         folder = store.path(_FOLDER)
         folder.mkdir(parents=True, exist_ok=True)
-        write_document(folder / f"{stage}.json", {"words": words, "failed_s": time.time()})
+        write_document(folder / _name(stage), {"words": words, "failed_s": time.time()})
 
 
 def forget_failure(store: SceneStore, stage: str) -> None:
     """Remove what `remember_failure` wrote: the stage has succeeded."""
     with contextlib.suppress(OSError, StoreError):
-        (store.path(_FOLDER) / f"{stage}.json").unlink(missing_ok=True)
+        (store.path(_FOLDER) / _name(stage)).unlink(missing_ok=True)
+
+
+def _name(stage: str) -> str:
+    return f"{stage.replace('/', ' ')}.json"
 
 
 def remembered_failures(home: Path, stages: Iterable[str]) -> dict[str, str]:
@@ -52,17 +56,17 @@ def remembered_failures(home: Path, stages: Iterable[str]) -> dict[str, str]:
         if name_fault(scene.name, RESERVED_SCENES) is not None or scene.is_symlink():
             continue
         paths = published(scene, f"{_FOLDER}/*.json")
-        paths.sort(key=lambda path: (order.get(path.stem, len(order)), path.stem))
+        paths.sort(key=lambda path: (order.get(path.stem.partition(" ")[0], len(order)), path.stem))
         if paths:
             found[scene.name] = "\n".join(_in_words(path) for path in paths)
     return found
 
 
 def _in_words(path: Path) -> str:
-    """`<stage>: <error> (<when>)`."""
+    """`<stage>: <error> (<when>)`, and what to remove where that is settled otherwise."""
     try:
         said = read_document(path)
         when = datetime.fromtimestamp(float(said["failed_s"]), UTC)
-        return f"{path.stem}: {said['words']!s} ({when:%Y-%m-%d %H:%M} UTC)"
+        return f"{path.stem}: {said['words']!s} ({when:%Y-%m-%d %H:%M} UTC; if it is settled, remove {path})"
     except (StoreError, TypeError, ValueError, OverflowError, OSError):
         return f"{path.stem}: failed; why cannot be read from {path}"

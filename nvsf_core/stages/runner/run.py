@@ -153,14 +153,17 @@ def run_named_stage(
     by_name = {stage.name: stage for stage in (STAGES if stages is None else stages)}
     if name not in by_name:
         raise DataError(f"no stage {name!r:.60}; there are {', '.join(by_name)}")
+    stage = by_name[name]
+    place = stage.location(run.config)
     try:
-        outcome = _named(by_name[name], run, by_name, progress)
+        outcome = _named(stage, run, by_name, progress)
     except Exception as error:
         kind = "" if isinstance(error, NvsfError) else f"{type(error).__name__}: "
         words = str(error).removeprefix(f"scene {run.scene.name}, stage {name}: ")
-        remember_failure(run.store, name, kind + words)
+        remember_failure(run.store, place, kind + words)
         raise
-    forget_failure(run.store, name)
+    for own in {place, name}:  # by its name alone where it could not be planned
+        forget_failure(run.store, own)
     return outcome
 
 

@@ -121,6 +121,16 @@ def test_times_of_points_are_read_by_type_and_clock(tmp_path, case):
     assert drive.stamp_shift_s == pytest.approx(shift_s, abs=1e-3)
 
 
+def test_times_of_a_clock_that_begins_with_the_drive_are_read_alike_in_all_scans(tmp_path):
+    layout = _write(tmp_path, 0.1, 0.1)
+    recorded = drive_of(scene_at(tmp_path, "plain"))
+    offsets_s = [recorded.read_scan(frame).offset_s for frame in range(FRAMES)]
+    _time_as(layout, "timestamp", "F8", lambda frame, s: 0.1 * frame + s)
+    drive = drive_of(scene_at(tmp_path, "plain"))
+    for frame, offset_s in enumerate(offsets_s):
+        assert np.allclose(drive.read_scan(frame).offset_s, offset_s, atol=1e-4), frame
+
+
 @pytest.mark.parametrize(
     ("kind", "values_of"),
     [

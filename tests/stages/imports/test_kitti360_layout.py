@@ -74,3 +74,33 @@ def test_objects_stay_apart_and_those_of_the_layout_keep_their_number(recorded, 
     import_drive(whole_drive(recorded, "plain"), tmp_path / "out", layout="kitti360", progress=print)
     boxes = drive_of(whole_drive(tmp_path / "out", "kitti360")).boxes().boxes
     assert {one.object_id: one.label for one in boxes} == {26_001: "car", 26_017: "car", 29_017: "caravan"}
+
+
+@pytest.mark.parametrize("layout", ["plain", "kitti360"])
+def test_another_lidar_than_the_assumed_one_is_still_to_be_found_after_an_import(tmp_path, layout):
+    # KITTI odometry's layout names no sensor; these are 16 lasers, two degrees apart.
+    sequence = tmp_path / "odometry/sequences/00"
+    (sequence / "velodyne").mkdir(parents=True)
+    azimuth, elevation = np.meshgrid(
+        np.arange(0.0, 2.0 * np.pi, 0.01), np.radians(np.arange(15.0, -16.0, -2.0))
+    )
+    flat = 20.0 * np.cos(elevation)
+    points = [
+        flat * np.cos(azimuth),
+        flat * np.sin(azimuth),
+        20.0 * np.sin(elevation),
+        np.full(flat.shape, 0.5),
+    ]
+    rows = np.stack(points, axis=-1).reshape(-1, 4).astype("<f4")
+    (tmp_path / "odometry/poses").mkdir()
+    line = "1 0 0 0 0 1 0 0 0 0 1 "
+    (tmp_path / "odometry/poses/00.txt").write_text("".join(f"{line}{frame}\n" for frame in range(3)))
+    (sequence / "times.txt").write_text("".join(f"{0.1 * frame}\n" for frame in range(3)))
+    (sequence / "calib.txt").write_text("Tr: 0 -1 0 0 0 0 -1 0 1 0 0 0\n")
+    for frame in range(3):
+        (sequence / f"velodyne/{frame:06d}.bin").write_bytes(rows.tobytes())
+    scene = whole_drive(tmp_path / "odometry", "kitti_odometry")
+    done = import_drive(scene, tmp_path / "out", layout=layout, progress=lambda line: None)
+    assert any("not of an HDL-64E" in note for note in done.notes)
+    file = done.folder / ("drive.json" if layout == "plain" else "scenes.toml")
+    assert '"found"' in file.read_text()

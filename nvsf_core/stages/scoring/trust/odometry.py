@@ -40,8 +40,9 @@ def odometry_errors(path: Path, sweeps: Sweeps) -> tuple[Measure, Measure]:
         reason = absent(f"a path needs {_LEAST_SCANS} or more consecutive scans; ask for all frames")
         return reason, reason
     clocks = read_arrays(path, "sweep_clock")["sweep_clock"] if holds_array(path, "sweep_clock") else None
+    is_timed = sweeps.period_s > 0.0
     rendered = [
-        _timed(a["points_m"][part(a["offsets"], i)], SweepClock.stored(clocks, i))
+        _timed(a["points_m"][part(a["offsets"], i)], SweepClock.stored(clocks, i), is_timed)
         for i in range(len(a["frame"]))
     ]
     try:
@@ -52,7 +53,8 @@ def odometry_errors(path: Path, sweeps: Sweeps) -> tuple[Measure, Measure]:
     if len(rows) < _LEAST_SCANS:
         return mine, absent("too few of these frames were recorded")
     recorded = [
-        _timed(sweeps.arrays["points_m"][sweeps.returns_of(k)], sweeps.clock_of(k)) for k in rows.tolist()
+        _timed(sweeps.arrays["points_m"][sweeps.returns_of(k)], sweeps.clock_of(k), is_timed)
+        for k in rows.tolist()
     ]
     try:
         return mine, _error(recorded, sweeps.arrays["lidar_to_world"][rows])
@@ -65,6 +67,8 @@ def _error(scans: Sequence[tuple[np.ndarray, np.ndarray]], poses: np.ndarray) ->
     return Measure(step_error_m(estimated[_SETTLED:], poses[_SETTLED:]), len(poses) - 1 - _SETTLED)
 
 
-def _timed(points_m: np.ndarray, clock: SweepClock) -> tuple[np.ndarray, np.ndarray]:
-    """Points and when in the sweep their azimuths are measured."""
+def _timed(points_m: np.ndarray, clock: SweepClock, is_timed: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Points and when in the sweep they are measured; all at once where a drive is not to be compensated."""
+    if not is_timed:
+        return points_m, np.zeros(len(points_m))
     return points_m, clock.elapsed(sweep_fraction(np.arctan2(points_m[:, 1], points_m[:, 0])))

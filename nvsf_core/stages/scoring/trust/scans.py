@@ -50,7 +50,7 @@ from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.lidar import part
 from nvsf_core.stages.views.view import stored_plan
-from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 
 _LEFT_OUT = 4
 """Most training scans that give the band."""
@@ -114,6 +114,7 @@ class _Rendered(NamedTuple):
     """Where the sensor, or what it is mounted on, goes."""
     sweep_s: float
     """By how much the path's moment changes in a sweep."""
+    clock: SweepClock
 
 
 class RecordedScans:
@@ -187,8 +188,7 @@ class RecordedScans:
         mount = poses_in(reference, scan.lidar_to_world)
         mounted = Trajectory(path.times_s, path.lidar_to_world @ mount, sweeps.trajectory.scene_to_world)
         is_own = scan.table.name == self.sensor
-        clock = sweeps.clock_near(scan.moment_s) if is_own else SweepClock()
-        elapsed = clock.elapsed(sweep_fraction(np.arctan2(points_m[:, 1], points_m[:, 0])))
+        elapsed = scan.clock.elapsed(sweep_fraction(np.arctan2(points_m[:, 1], points_m[:, 0])))
         origin_m, direction, range_m = compensate(
             scan.table, points_m, laser, scan.moment_s + elapsed * scan.sweep_s, mounted,
             elevation_correction_rad=sweeps.elevation_correction_rad if is_own else None,
@@ -246,11 +246,13 @@ def scan_cues(
     plan, table = stored_plan(path, attrs), table_of(asked.get(path.parent.name), recorded.sweeps.table)
     goes = plan.path or recorded.sweeps.trajectory
     sweep_s = float(attrs["sweep_period_s"]) * plan.path_rate
+    clocks = read_arrays(path, "sweep_clock")["sweep_clock"] if holds_array(path, "sweep_clock") else None
     for i, frame in enumerate(a["frame"].tolist()):
         own, firings, moment_s = part(a["offsets"], i), int(a["grid_firings"][i]), float(plan.moments_s[i])
         scan = _Rendered(
-            a["points_m"][own], a["laser"][own], table, moment_s, a["lidar_to_world"][i], goes, sweep_s
-        )
+            a["points_m"][own], a["laser"][own], table, moment_s, a["lidar_to_world"][i], goes, sweep_s,
+            SweepClock.stored(clocks, i),
+        )  # fmt: skip
         points_m = recorded.placed(scan)
         hit = a["grid_hit"][i][:, :firings].astype(np.float64)
         guessed = a["grid_support"][i][:, :firings] == Support.GUESSED
