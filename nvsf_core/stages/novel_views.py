@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from nvsf_core._types import Scalar
+from nvsf_core.clouds.open3d_room import NO_OPEN3D
 from nvsf_core.demo.drive import DEMO_SEQUENCE
 from nvsf_core.drives.entries import ViewEntry
 from nvsf_core.errors import MissingLibraryError
@@ -22,6 +23,7 @@ from nvsf_core.stages.checks.views import check_views
 from nvsf_core.stages.field import load_model
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.mesh import read_mesh
+from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, StageOutput, Task
 from nvsf_core.stages.views.camera import copied_images, image_arrays, other_image_arrays
 from nvsf_core.stages.views.files import (
@@ -52,6 +54,7 @@ from nvsf_core.stages.views.view import (
 
 MODEL, REPROJECT, COPY, MESH = "model", "reproject", "copy_nearest", "mesh"
 NO_LIDAR = "not rendered: this drive has no LiDAR"
+_NO_MESH = "not run: there is no mesh, for open3d was absent; install it and run the stage `mesh` again"
 
 
 def run(task: Task) -> StageOutput:
@@ -102,8 +105,10 @@ def _mesh(task: Task, recording: Recording, output: StageOutput) -> SceneModel |
         output.metadata[MESH] = str(error)
         return None
     if mesh is None:
-        # Not its words: by them an output is made again once a tool is there, and this one lacks none.
-        output.metadata[MESH] = "not run: the stage `mesh` made none, and says why"
+        record = read_record(task.store.require(MESH)) or {"metadata": {}}
+        words = str(record["metadata"].get(MESH, "not run"))
+        # An output with those words is made again once open3d is there: this one, only with a mesh.
+        output.metadata[MESH] = _NO_MESH if NO_OPEN3D in words else words
     return mesh
 
 

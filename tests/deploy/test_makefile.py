@@ -9,7 +9,9 @@ import pytest
 
 
 def _make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    clean = {key: value for key, value in os.environ.items() if key not in ("NVSF_HOME", "DAGSTER_HOME")}
+    # The tests may be run by make, whose own variables would change what this one prints.
+    others = ("NVSF_HOME", "DAGSTER_HOME", "MAKEFLAGS", "MAKELEVEL", "MFLAGS")
+    clean = {key: value for key, value in os.environ.items() if key not in others}
     return subprocess.run(["make", "-n", *words], cwd=folder, env=clean, capture_output=True, text=True)
 
 
