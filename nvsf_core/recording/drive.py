@@ -56,6 +56,11 @@ class Sweeps:
         """When in a scan's sweep each azimuth was measured."""
         return SweepClock.stored(self.arrays.get("sweep_clock"), scan)
 
+    @property
+    def training_clocks(self) -> tuple[SweepClock, ...]:
+        """`clock_of` all training scans."""
+        return tuple(self.clock_of(scan) for scan in np.flatnonzero(self.is_training).tolist())
+
     def clock_near(self, time_s: float) -> SweepClock:
         """The clock of the scan that is nearest to an instant, for sweeps of the recording sensor.
 
@@ -118,7 +123,7 @@ def training_returns(sweeps: Sweeps) -> TimedReturns:
         time_s=np.concatenate([np.zeros(0), *(sweeps.fired_s(scan) for scan in training)]),
         offsets=np.concatenate([[0], np.cumsum(lengths[sweeps.is_training])]),
         scan_time_s=a["time_s"][sweeps.is_training],
-        clocks=tuple(sweeps.clock_of(scan) for scan in training),
+        clocks=sweeps.training_clocks,
         trajectory=sweeps.trajectory,
         period_s=sweeps.period_s,
         table=sweeps.table,
@@ -261,7 +266,7 @@ def recorded_sweeps(sweeps: Sweeps, evidence: SceneEvidence) -> RecordedSweeps:
     return RecordedSweeps(
         prior, evidence.lasers.astype(np.int64), ranges, shine, sweeps.trajectory, sweeps.table,
         sweeps.period_s, sweeps.elevation_correction_rad, evidence.unit_gaps,
-        tuple(sweeps.clock_of(scan) for scan in np.flatnonzero(sweeps.is_training).tolist()),
+        sweeps.training_clocks,
     )  # fmt: skip
 
 

@@ -96,7 +96,7 @@ def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarFie
         return [rays for rays, _ in both] if evidence.dynamic is None else _meet(lidar, field, number, both)
 
     joined = join_rays([rays for both in in_parts(rays_of, len(learned)) for rays in both])
-    if len(evidence.lasers) == 0 or (evidence.lasers < 0).all():
+    if (evidence.lasers < 0).all():
         raise DataError(
             f"field: expected scans whose lasers are known, found none in {len(evidence.prior.time_s)}: they "
             f"do not fit a {sweeps.table.name}; name their sensor (`lidar` of the scene), or write "

@@ -251,7 +251,7 @@ def recorded_panos(lidar: LidarRecording) -> RecordedPanos:
         intensity=np.stack([intensity for _, intensity in images]),
         trajectory=sweeps.trajectory,
         period_s=sweeps.period_s,
-        clocks=tuple(sweeps.clock_of(scan) for scan in training.tolist()),
+        clocks=sweeps.training_clocks,
         turn_up_rad=sweeps.elevation_correction_rad,
     )
 

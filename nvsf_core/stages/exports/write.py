@@ -1,7 +1,7 @@
 """Writes a data set: scans and images in each format that its view asks for, and the manifest's rows."""
 
 import os
-import tempfile
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from nvsf_core.stages.views.files import write_images, write_scans
 from nvsf_core.stages.views.instances import depth_m
 from nvsf_core.stages.views.view import camera_models
 from nvsf_core.stores.checksums import file_checksums
+from nvsf_core.stores.writers import temporary_of
 
 SCHEMA_VERSION = 3
 """Of the manifest and the files that it names."""
@@ -85,13 +86,17 @@ def rewrite_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
         manifest: The new manifest's entries, with the checksums of the files that stay.
     """
     made = (folder / MANIFEST_NAME).stat()
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".") as anew:
-        new = Path(anew)
+    # What a killed process leaves of it is removed when the next is published beside it.
+    new = temporary_of(folder)
+    new.mkdir()
+    try:
         write_card(new, manifest)
         write_manifest(new, {**manifest, CHECKSUMS: {**manifest[CHECKSUMS], **file_checksums(new)}})
         os.utime(new / MANIFEST_NAME, ns=(made.st_atime_ns, made.st_mtime_ns))
         for name in (JSON_NAME, MARKDOWN_NAME, MANIFEST_NAME):
             (new / name).replace(folder / name)
+    finally:
+        shutil.rmtree(new, ignore_errors=True)
 
 
 def _scan(folder: Path, view: RenderedView, index: int) -> dict[str, Any]:
