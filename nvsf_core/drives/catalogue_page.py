@@ -38,7 +38,8 @@ _FORMATS = {
     "mcap": "a ROS 2 bag in an MCAP file: points, images, depth, objects, camera info, transforms (extra"
     " `exports`)",
     "rosbag2": "the same bag in an SQLite file, `.db3` (extra `exports`)",
-    "nuscenes": "nuScenes' tables and files, version `v1.0-nvsf`: LIDAR_TOP, pinhole cameras, annotations",
+    "nuscenes": "nuScenes' tables and files, version `v1.0-nvsf`: LIDAR_TOP, pinhole cameras (the one that"
+    " looks ahead is CAM_FRONT), annotations",
 }
 
 

@@ -2,9 +2,9 @@
 
 Every instant is a sample, all its data are key frames. Axes are nuScenes': the LiDAR's x to the right, y
 forward; of the vehicle x forward, y left, in the LiDAR's place, since nobody knows the rear axle. Intensity
-is 0 to 255. Images are PNG; the first pinhole camera is CAM_FRONT, the others are named after their own
-names; fisheyes, which the tables cannot describe, are left out. Time and support of points, which have no
-column, lie in folders beside. There is no map: its mask is empty.
+is 0 to 255. Images are PNG; the pinhole camera that looks ahead is CAM_FRONT, the others are named after
+their own names; fisheyes, which the tables cannot describe, are left out. Time and support of points, which
+have no column, lie in folders beside. There is no map: its mask is empty.
 """
 
 import hashlib
@@ -20,9 +20,9 @@ from scipy.spatial.transform import Rotation
 
 from nvsf_core.drives.kitti360.writer import write_classes, write_image
 from nvsf_core.geometry.boxes import inside_any
-from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
-from nvsf_core.stages.exports.records import BoxRecord, DataSet, ScanRecord
+from nvsf_core.stages.exports.camera_places import pinholes_of
+from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet, ScanRecord
 from nvsf_core.stages.exports.ros import EPOCH_S
 
 FOLDER, VERSION = "nuscenes", "v1.0-nvsf"
@@ -40,6 +40,14 @@ _CATEGORIES = {
 }  # fmt: skip
 """Names of nuScenes; other labels stay as they are."""
 _NO_MAP = np.zeros((8, 8), np.uint8)
+
+
+def nuscenes_channels(cameras: Mapping[str, CameraRecord]) -> dict[str, str]:
+    """Camera to its channel; fisheyes have none."""
+    pinholes = pinholes_of(cameras)
+    # Where a camera is called `front` it is the first: no two have one channel.
+    channels = ["CAM_FRONT", *(f"CAM_{name.upper()}" for name in pinholes[1:])]
+    return dict(zip(pinholes, channels, strict=False))
 
 
 def write_nuscenes(folder: Path, data: DataSet) -> None:
@@ -81,11 +89,7 @@ class _Tables:
     def __init__(self, data: DataSet) -> None:
         self._data = data
         self.rows: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
-        pinholes = [name for name, one in data.cameras.items() if isinstance(one.model, Pinhole)]
-        self.channels = {
-            name: "CAM_FRONT" if number == 0 else f"CAM_{name.upper()}"
-            for number, name in enumerate(pinholes)
-        }
+        self.channels = nuscenes_channels(data.cameras)
         self._add_log()
         if data.scan is not None:
             self._add_sensor(LIDAR, "lidar", _TO_EGO, [])

@@ -9,9 +9,9 @@ from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet, I
 COUNT, POINTS, PERIOD_S = 3, 400, 0.1
 NUMBERS = [4, 5, 7]
 STAMPS = np.array([0.4, 0.5, 0.7])
-IN_LIDAR = pose_of_angles((0.5, 0.1, -0.2), 5.0, 3.0, 0.0) @ np.array(
-    [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-)
+LEVEL = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""A level camera that looks ahead, in the LiDAR's place."""
+IN_LIDAR = pose_of_angles((0.5, 0.1, -0.2), 5.0, 3.0, 0.0) @ LEVEL
 POSES = np.stack(
     [pose_of_angles((1000.0 + 0.9 * k, 3700.0, 115.0), 30.0 + k, 0.5, -0.2) for k in range(COUNT)]
 )

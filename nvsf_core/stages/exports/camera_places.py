@@ -1,0 +1,39 @@
+"""Which cameras of a data set take the places that a format has: the one ahead, and those beside it."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from nvsf_core.drives.kitti360.layout import CAMERAS
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.stages.exports.records import CameraRecord
+
+_AHEAD = "front"
+"""Name of a camera that says by itself that it looks ahead."""
+_ALIKE_DEG = 1.0
+"""Cameras of a stereo pair look the same way within this; rectified ones do exactly."""
+
+
+def pinholes_of(cameras: Mapping[str, CameraRecord]) -> list[str]:
+    """Names of the pinhole cameras, the one that looks ahead first, the others in the given order.
+
+    That is `front`; else the first of KITTI's own names; else the one whose optical axis lies nearest to the
+    LiDAR's x axis, of several within 1 degree the first.
+    """
+    names = [name for name, one in cameras.items() if isinstance(one.model, Pinhole)]
+    named = [name for name in (_AHEAD, *CAMERAS) if name in names]
+    ahead = [*named, *_by_axis({name: cameras[name] for name in names})][:1]
+    return [*ahead, *(name for name in names if name not in ahead)]
+
+
+def _by_axis(cameras: Mapping[str, CameraRecord]) -> list[str]:
+    """Cameras that look ahead, as nearly as the one that does so most."""
+    ahead = np.array([1.0, 0.0, 0.0])
+    off_deg = {name: _angle_deg(one.in_lidar[:3, 2], ahead) for name, one in cameras.items()}
+    return [name for name, off in off_deg.items() if off <= min(off_deg.values()) + _ALIKE_DEG]
+
+
+def _angle_deg(first: np.ndarray, second: np.ndarray) -> float:
+    """Angle between two directions (3,)."""
+    across = float(np.linalg.norm(np.cross(first, second)))
+    return float(np.degrees(np.arctan2(across, float(first @ second))))
