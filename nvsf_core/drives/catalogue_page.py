@@ -35,8 +35,8 @@ _FORMATS = {
     "laz": "LAZ 1.4 with `ring`, `time`, `support` as further dimensions (extra `exports`)",
     "kitti": "a sequence of KITTI's odometry benchmark: `poses`, `calib.txt`, `times.txt`",
     "kitti360": "a KITTI-360 root: calibration, poses, timestamps, boxes; this project ingests it again",
-    "mcap": "a ROS 2 bag in an MCAP file: points, images, depth, objects, camera info, transforms (extra"
-    " `exports`)",
+    "mcap": "a ROS 2 bag (Humble and newer) in an MCAP file: points, images, depth, objects, camera info,"
+    " transforms (extra `exports`)",
     "rosbag2": "the same bag in an SQLite file, `.db3` (extra `exports`)",
     "nuscenes": "nuScenes' tables and files, version `v1.0-nvsf`: LIDAR_TOP, pinhole cameras (the one that"
     " looks ahead is CAM_FRONT), annotations",

@@ -32,6 +32,8 @@ POINT = np.dtype([
 _KINDS = {"<f4": 7, "<u2": 4, "|u1": 2}
 """PointField's numbers of types."""
 _UNKNOWN = 255
+_METADATA_VERSION = 8
+"""The newest that ROS 2 Humble reads, too: from 9 on, what a topic offers is a list, which it refuses."""
 _LATCHED = "/tf_static"
 """Topic whose only message reaches those who subscribe later, too."""
 
@@ -71,7 +73,7 @@ def write_rosbag2(folder: Path, data: DataSet) -> None:
 def _write(folder: Path, storage: str, data: DataSet) -> None:
     """Write a bag, a frame at a time."""
     rosbag2 = require_rosbags()
-    bag = rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin[storage])
+    bag = rosbag2.Writer(folder, version=_METADATA_VERSION, storage_plugin=rosbag2.StoragePlugin[storage])
     with bag:
         out = _Bag(bag)
         first_s = float(data.stamp_s[0])

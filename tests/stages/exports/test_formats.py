@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from nvsf_core.clouds.laz import write_laz
 from nvsf_core.drives.kitti360.boxes import read_boxes
@@ -147,6 +148,25 @@ def test_fixed_transforms_reach_who_subscribes_after_they_were_played(
         offered = {one.topic: one.ext.offered_qos_profiles for one in bag.connections}
     assert [(one.durability.name, one.depth) for one in offered.pop("/tf_static")] == [("TRANSIENT_LOCAL", 1)]
     assert not any(offered.values()), "others are as `ros2 bag play` plays them"
+
+
+@pytest.mark.parametrize(
+    ("write", "name"), [(write_mcap, "mcap"), (write_rosbag2, "rosbag2")], ids=["mcap", "rosbag2"]
+)
+def test_a_bags_metadata_is_as_humble_reads_it(
+    write: Callable[[Path, DataSet], None], name: str, tmp_path: Path
+) -> None:
+    pytest.importorskip("rosbags", reason="rosbags is not installed")
+    write(tmp_path, small.data_set())
+    facts = yaml.safe_load((tmp_path / name / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert facts["version"] <= 8
+    offered = {
+        row["topic_metadata"]["name"]: row["topic_metadata"]["offered_qos_profiles"]
+        for row in facts["topics_with_message_count"]
+    }
+    # Humble takes a text of each topic; in it, numbers stand for policies: 1 is transient local.
+    assert {type(one) for one in offered.values()} == {str}
+    assert yaml.safe_load(offered["/tf_static"])[0]["durability"] == 1
 
 
 def test_laz_holds_ring_time_and_support(tmp_path: Path) -> None:
