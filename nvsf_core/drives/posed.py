@@ -14,11 +14,11 @@ import numpy as np
 from nvsf_core.drives.drive import AbstractDrive, DriveFacts
 from nvsf_core.drives.kitti360.calibration import Calibration
 from nvsf_core.drives.kitti360.frames import (
-    LONGEST_STEP_S,
     NOMINAL_PERIOD_S,
-    SHORTEST_STEP_S,
+    UNLIKE,
     FrameTimes,
     spaced_times,
+    sweep_of,
 )
 from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.errors import DataError
@@ -32,9 +32,6 @@ _LEAST_SHIFT = 0.1
 """Least distance of the middle of a scan's times from its stamp, in sweeps, for the stamp to be moved."""
 _LONGEST_SWEEP_S = 0.2
 """Of a LiDAR that rotates at 5 Hz, the slowest there is."""
-_UNLIKE = 0.1
-"""Least difference of a sweep's duration from the frames' step, in steps, for it to be another: a LiDAR that
-records all sweeps has the step's, which is measured over the whole section."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,9 +169,7 @@ class AbstractPosedDrive(AbstractDrive):
         if given_s is None and scan is not None and scan.offset_s is not None:
             azimuth_rad = np.arctan2(scan.points[:, 1].astype(np.float64), scan.points[:, 0])
             given_s = sweep_duration_s(sweep_fraction(azimuth_rad), scan.offset_s, step_s)
-        if given_s is None or not SHORTEST_STEP_S <= given_s <= LONGEST_STEP_S:
-            return step_s
-        return given_s if abs(given_s - step_s) > _UNLIKE * step_s else step_s
+        return sweep_of(given_s, step_s)
 
     def _pace_notes(self) -> list[str]:
         """What is assumed of sweeps that do not follow each other."""
@@ -182,9 +177,9 @@ class AbstractPosedDrive(AbstractDrive):
         if not self.has_scans() or times.is_assumed or len(times.time_s) < 2:
             return []
         step_s, sweep_s = float(np.median(np.diff(times.time_s))), times.sweep_period_s
-        if abs(sweep_s - step_s) > _UNLIKE * step_s:
+        if abs(sweep_s - step_s) > UNLIKE * step_s:
             return [f"a sweep lasts {sweep_s:.4g} s, frames are {step_s:.4g} s apart in the median"]
-        if step_s > (1.0 + _UNLIKE) * _LONGEST_SWEEP_S:
+        if step_s > (1.0 + UNLIKE) * _LONGEST_SWEEP_S:
             return [
                 f"frames are {step_s:.4g} s apart in the median, and a sweep is taken to last as long; a "
                 f"LiDAR's lasts {_LONGEST_SWEEP_S:g} s at most: give sweep_period_s in the catalogue"
@@ -204,7 +199,7 @@ class AbstractPosedDrive(AbstractDrive):
         wanted = np.array(self.frames)
         # A frame that is not there is given a time between its neighbours'; it has no scan and no pose.
         step_s = _median_step(self._seconds) or period_s
-        step_s = step_s if abs(period_s - step_s) > _UNLIKE * step_s else period_s
+        step_s = step_s if abs(period_s - step_s) > UNLIKE * step_s else period_s
         found = np.interp(wanted, frames, seconds)
         found = np.where(wanted < frames[0], seconds[0] - step_s * (frames[0] - wanted), found)
         found = np.where(wanted > frames[-1], seconds[-1] + step_s * (wanted - frames[-1]), found)

@@ -1,7 +1,7 @@
 """Frames of a drive in KITTI-360's layout: their times, recorded or nominal, and the car's poses."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os.path import lexists
 from pathlib import Path
 
@@ -17,12 +17,16 @@ SHORTEST_STEP_S, LONGEST_STEP_S = 0.01, 2.0
 """Limits of the median step from frame to frame: LiDARs rotate at 5 to 20 Hz, cameras have 1 to 100 Hz."""
 LEAST_OF_MEDIAN = 0.05
 """Smallest step in median steps; smaller ones are errors of the file."""
+UNLIKE = 0.1
+"""Least difference of a sweep's duration from the frames' step, in steps, for it to be another: a LiDAR that
+records all sweeps has the step's, which is measured over the whole section."""
 LONGEST_PAUSE_S = 10.0
 """Longest step within a section; after a longer one it is another recording, or the unit is wrong."""
 _MOST_TIME_BYTES = 64 * MIB
 _MOST_LINES, _MOST_POSE_BYTES = 100_000, 32 * MIB
 """The longest drive of KITTI-360 has 15,000 frames, in 4 MB."""
 _LONGEST_SHOWN = 60
+_WITHOUT = "its times are then assumed"
 # datetime64[ns] overflows silently outside of 1678 to 2262.
 _TIME = re.compile(r"(?:1[7-9]|2[01])\d\d-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d{1,9})?", re.ASCII)
 
@@ -44,26 +48,29 @@ class FrameTimes:
 
 
 def frame_times(
-    layout: DriveLayout, first_frame: int, last_frame: int, nominal_period_s: float | None
+    layout: DriveLayout, first_frame: int, last_frame: int, given_period_s: float | None
 ) -> FrameTimes:
-    """Times of the frames `first_frame..last_frame`, inclusive.
+    """Times of the frames `first_frame..last_frame`, inclusive, and the duration of a sweep.
 
     A drive's timestamp file has one line a frame, from frame 0; if the drive was cut out of a longer one, it
     may have lines for its own frames only. The numbers of lines and of scans decide which. If neither fits,
     the nominal period is used, and `source` gives the reason.
 
+    A sweep lasts as given, else as the scans' files of begins and ends say; see `sweep_of`.
+
     Args:
         layout: The drive's paths.
         first_frame: First frame number.
         last_frame: Last frame number.
-        nominal_period_s: Time from frame to frame if there are no usable times; None = `NOMINAL_PERIOD_S`.
+        given_period_s: Duration of a sweep, and time from frame to frame if there are no usable times; None =
+            as recorded, and `NOMINAL_PERIOD_S`.
 
     Raises:
         DataError: A line is not a time.
     """
     path = _timestamp_file(layout)
     count = last_frame - first_frame + 1
-    period_s = NOMINAL_PERIOD_S if nominal_period_s is None else nominal_period_s
+    period_s = NOMINAL_PERIOD_S if given_period_s is None else given_period_s
     if path is None:
         return _nominal(count, period_s, "no timestamp file", is_refused=False)
     stamps = read_timestamps(path)
@@ -71,12 +78,37 @@ def frame_times(
     if first_line is None:
         misfit = f"{len(stamps)} lines fit frames {first_frame}..{last_frame} neither by number nor by count"
         return _nominal(count, period_s, f"{path.name}: {misfit}", is_refused=True)
-    section = stamps[first_line : first_line + count]
+    lines = slice(first_line, first_line + count)
+    section = stamps[lines]
     if np.isnat(section).any() or (np.diff(section) <= np.timedelta64(0, "ns")).any():
         misfit = f"{path.name} has gaps or steps back in this section"
         return _nominal(count, period_s, misfit, is_refused=True)
     time_s = (section - section[0]) / np.timedelta64(1, "s")
-    return spaced_times(time_s, period_s, str(path.relative_to(layout.root)))
+    times = spaced_times(time_s, period_s, str(path.relative_to(layout.root)))
+    if times.is_assumed or path != layout.timestamps_path():
+        return times
+    sweep_s = _recorded_sweep_s(layout, len(stamps), lines) if given_period_s is None else given_period_s
+    return replace(times, sweep_period_s=sweep_of(sweep_s, times.sweep_period_s))
+
+
+def sweep_of(known_s: float | None, step_s: float) -> float:
+    """Duration of a sweep: the known one where it can be a LiDAR's and is another than the frames' step."""
+    if known_s is None or not SHORTEST_STEP_S <= known_s <= LONGEST_STEP_S:
+        return step_s
+    return known_s if abs(known_s - step_s) > UNLIKE * step_s else step_s
+
+
+def _recorded_sweep_s(layout: DriveLayout, n_lines: int, section: slice) -> float | None:
+    """Median time from a sweep's begin to its end; None unless there are files of both, line for line."""
+    paths = [layout.timestamps_path(kind) for kind in ("start", "end")]
+    if not all(lexists(path) for path in paths):
+        return None
+    begin, end = (read_timestamps(path) for path in paths)
+    if not len(begin) == len(end) == n_lines:
+        return None
+    lasts_s = (end[section] - begin[section]) / np.timedelta64(1, "s")
+    known_s = lasts_s[np.isfinite(lasts_s)]
+    return float(np.median(known_s)) if len(known_s) else None
 
 
 def spaced_times(time_s: np.ndarray, period_s: float, source: str) -> FrameTimes:
@@ -112,8 +144,7 @@ def read_timestamps(path: Path) -> np.ndarray:
         lines = read_text(path, _MOST_TIME_BYTES).rstrip().splitlines()
     except (OSError, ValueError) as error:
         raise DataError(
-            f"cannot read times {path} ({error}); restore the file, or remove it: the nominal period is then "
-            "assumed"
+            f"cannot read times {path} ({error}); restore the file, or remove it: {_WITHOUT}"
         ) from error
     stamps = np.full(len(lines), np.datetime64("NaT", "ns"))
     for index, line in enumerate(lines):
@@ -124,8 +155,7 @@ def read_timestamps(path: Path) -> np.ndarray:
         except ValueError as error:
             raise DataError(
                 f"{path}, line {index + 1}: expected `YYYY-MM-DD hh:mm:ss.nnnnnnnnn`, found "
-                f"{line[:_LONGEST_SHOWN]!r}; restore the file, or remove it: the nominal period is then "
-                "assumed"
+                f"{line[:_LONGEST_SHOWN]!r}; restore the file, or remove it: {_WITHOUT}"
             ) from error
     return stamps
 

@@ -38,9 +38,6 @@ from nvsf_core.stages.imports.target import AbstractTarget
 START = datetime(2013, 5, 28, 8, 0, 0)
 """Date of frame 0: the layout needs one, and other formats' clocks have none."""
 
-
-_LEAST_UNLIKE = 0.05
-"""Difference of a sweep's duration from the step between frames, in steps, for it to be a loss."""
 _LEAST_DELAY_S = 1e-4
 """Of an image from its frame, for it to be a loss: at 30 m/s it is 3 mm."""
 
@@ -104,10 +101,10 @@ class Kitti360Target(AbstractTarget):
         if "image_00" in cameras:
             write_frame_poses(layout.cam0_to_world_path, posed, poses @ cameras["image_00"].to_pose, rows=4)
         # A line a frame from frame 0, also before the section.
-        step_s, first = facts.times.sweep_period_s, self.scene.first_frame
-        stamps = np.concatenate([step_s * np.arange(first), first * step_s + facts.times.time_s])
+        sweep_s, first = facts.times.sweep_period_s, self.scene.first_frame
+        stamps = np.concatenate([sweep_s * np.arange(first), first * sweep_s + facts.times.time_s])
         for kind, shift in (("", 0.0), ("start", -0.5), ("end", 0.5)):
-            write_timestamps(layout.timestamps_path(kind), START, (stamps + shift * step_s).tolist())
+            write_timestamps(layout.timestamps_path(kind), START, (stamps + shift * sweep_s).tolist())
         self._write_boxes(boxes)
         self.left_out += self._losses()
 
@@ -145,14 +142,6 @@ class Kitti360Target(AbstractTarget):
             f"{what} of the points of {count} scans: the layout has no place for them"
             for what, count in self._scans_with.items() if count
         ]  # fmt: skip
-        steps_s = np.diff(facts.times.time_s)
-        if len(steps_s) and not np.isclose(
-            np.median(steps_s), facts.times.sweep_period_s, rtol=_LEAST_UNLIKE
-        ):
-            lost.append(
-                f"duration of a sweep, {facts.times.sweep_period_s:.4g} s: the layout takes it to be the "
-                f"step between frames, {np.median(steps_s):.4g} s"
-            )
         return [f"{words}; --layout plain keeps this" for words in lost]
 
     def _write_calibration(self, layout: DriveLayout, cameras: Mapping[str, CameraCalibration]) -> None:

@@ -1,3 +1,4 @@
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -5,6 +6,7 @@ import pytest
 
 from nvsf_core.drives.kitti360.frames import frame_times
 from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.kitti360.writer import write_timestamps
 from nvsf_core.errors import DataError
 
 
@@ -41,6 +43,43 @@ def test_a_cut_out_drives_file_is_indexed_by_position(tmp_path: Path) -> None:
 def test_a_cut_out_longer_than_its_frame_numbers_is_still_indexed_by_position(tmp_path: Path) -> None:
     layout = drive(tmp_path, ticks(30), range(3, 33))
     assert np.allclose(frame_times(layout, 3, 5, None).time_s, [0.0, 0.101, 0.204])
+
+
+def paced(root: Path, step_s: float, sweep_s: float, lines: int = 20) -> DriveLayout:
+    """A drive whose frames are so far apart and whose files of begins and ends give the sweep."""
+    layout = drive(root, None)
+    stamps_s = step_s * np.arange(lines)
+    for kind, shift in (("", 0.0), ("start", -0.5), ("end", 0.5)):
+        write_timestamps(
+            layout.timestamps_path(kind), datetime(2013, 5, 28), (stamps_s + shift * sweep_s).tolist()
+        )
+    return layout
+
+
+@pytest.mark.parametrize(
+    ("step_s", "sweep_s", "given_s", "expected_s"),
+    [
+        (0.2, 0.1, None, 0.1), (0.05, 0.1, None, 0.1), (0.10326, 0.1, None, 0.10326), (0.2, 0.1, 0.15, 0.15),
+        (0.1, 0.1, 0.05, 0.05), (0.1, 0.1, 0.1046, 0.1), (0.1, -0.1, None, 0.1),
+    ],
+)  # fmt: skip
+def test_a_sweep_lasts_from_its_begin_to_its_end_unless_that_is_about_the_step(
+    tmp_path: Path, step_s: float, sweep_s: float, given_s: float | None, expected_s: float
+) -> None:
+    times = frame_times(paced(tmp_path, step_s, sweep_s), 10, 12, given_s)
+    assert not times.is_assumed and np.allclose(np.diff(times.time_s), step_s)
+    assert times.sweep_period_s == pytest.approx(expected_s, abs=1e-6)
+
+
+def test_begins_and_ends_count_only_where_all_three_files_have_the_same_lines(tmp_path: Path) -> None:
+    layout = paced(tmp_path, 0.2, 0.1)
+    lines = layout.timestamps_path("end").read_text().splitlines()
+    layout.timestamps_path("end").write_text("\n".join(["", *lines[1:10], "", *lines[11:]]) + "\n")
+    assert frame_times(layout, 10, 12, None).sweep_period_s == pytest.approx(0.1), "the others' median"
+    layout.timestamps_path("end").write_text("\n".join(lines[:-1]) + "\n")
+    assert frame_times(layout, 10, 12, None).sweep_period_s == pytest.approx(0.2)
+    layout.timestamps_path("end").unlink()
+    assert frame_times(layout, 10, 12, None).sweep_period_s == pytest.approx(0.2)
 
 
 def test_without_a_file_the_nominal_period_is_recorded_as_assumed(tmp_path: Path) -> None:

@@ -63,11 +63,16 @@ def test_what_the_layout_cannot_hold_is_said(recorded, tmp_path):
         "times of images of left, up to 20.0 ms from their frames'",
         "rings of the points of 4 scans",
         "times of the points of 4 scans",
-        "duration of a sweep, 0.05 s",
     ]
     assert json.loads((tmp_path / "out/import.json").read_text())["left_out"] == list(done.left_out)
     kept = import_drive(whole_drive(recorded, "plain"), tmp_path / "kept", layout="plain", progress=print)
     assert kept.left_out == ()
+
+
+def test_a_sweep_that_is_shorter_than_the_step_stays_so(recorded, tmp_path):
+    import_drive(whole_drive(recorded, "plain"), tmp_path / "out", layout="kitti360", progress=print)
+    times = drive_of(whole_drive(tmp_path / "out", "kitti360")).times()
+    assert np.allclose(np.diff(times.time_s), STEP_S) and times.sweep_period_s == pytest.approx(0.05)
 
 
 def test_objects_stay_apart_and_those_of_the_layout_keep_their_number(recorded, tmp_path):
