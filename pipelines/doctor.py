@@ -128,9 +128,9 @@ def _open3d() -> Finding:
     try:
         load_open3d()
     except NvsfError as error:
-        cost = "Without it no mesh baseline, no .pcd, no registration check"
+        cost = "Without it no mesh baseline, no registration check"
         return Finding("open3d", False, f"{error}. {cost}")
-    return Finding("open3d", True, "the mesh baseline, .pcd files and the registration check run")
+    return Finding("open3d", True, "the mesh baseline and the registration check run")
 
 
 def _lpips() -> Finding:

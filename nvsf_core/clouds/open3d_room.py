@@ -2,12 +2,9 @@
 
 import ctypes
 import importlib
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from nvsf_core.errors import MissingLibraryError, StoreError
+from nvsf_core.errors import MissingLibraryError
 
 _SYSTEM_PACKAGES = "libegl1 libgl1 libx11-6 libudev1 libidn2-0 libusb-1.0-0"
 
@@ -29,21 +26,6 @@ def load_open3d() -> Any:
             f"not run: {NO_OPEN3D} ({error}). `pip install open3d libusb-package` installs it,"
             f" `apt-get install -y {_SYSTEM_PACKAGES}` the system libraries that it links to"
         ) from error
-
-
-def write_pcd(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
-    """Write points (N, 3) in metres and intensity (N,) in 0..1 as binary PCD.
-
-    Raises:
-        MissingLibraryError: open3d cannot be loaded here.
-        StoreError: The file could not be written.
-    """
-    open3d = load_open3d()
-    cloud = open3d.t.geometry.PointCloud(np.ascontiguousarray(points_m, np.float32))
-    cloud.point["intensity"] = np.ascontiguousarray(intensity[:, None], np.float32)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not open3d.t.io.write_point_cloud(str(path), cloud):
-        raise StoreError(f"{path}: open3d could not write the point cloud; is the disk full?")
 
 
 def _preload_libusb() -> None:
