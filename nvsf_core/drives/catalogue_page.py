@@ -33,7 +33,8 @@ _FORMATS = {
     "ply": "binary PLY with x, y, z, intensity",
     "pcd": "PCD with x, y, z, intensity",
     "laz": "LAZ 1.4 with `ring`, `time`, `support` as further dimensions (extra `exports`)",
-    "kitti": "a sequence of KITTI's odometry benchmark: `poses`, `calib.txt`, `times.txt`",
+    "kitti": "a sequence of KITTI's odometry benchmark: `poses`, `calib.txt`, `times.txt`; `image_2` is the"
+    " pinhole camera that looks ahead, `image_3` another one of the same axes",
     "kitti360": "a KITTI-360 root: calibration, poses, timestamps, boxes; this project ingests it again",
     "mcap": "a ROS 2 bag (Humble and newer) in an MCAP file: points, images, depth, objects, camera info,"
     " transforms (extra `exports`)",

@@ -6,6 +6,7 @@ import numpy as np
 
 from nvsf_core.drives.kitti360.layout import CAMERAS
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.se3 import log_so3
 from nvsf_core.stages.exports.records import CameraRecord
 
 _AHEAD = "front"
@@ -24,6 +25,12 @@ def pinholes_of(cameras: Mapping[str, CameraRecord]) -> list[str]:
     named = [name for name in (_AHEAD, *CAMERAS) if name in names]
     ahead = [*named, *_by_axis({name: cameras[name] for name in names})][:1]
     return [*ahead, *(name for name in names if name not in ahead)]
+
+
+def are_parallel(first: CameraRecord, second: CameraRecord) -> bool:
+    """Whether all axes of two cameras agree within 1 degree."""
+    turn = first.in_lidar[:3, :3].T @ second.in_lidar[:3, :3]
+    return bool(np.degrees(np.linalg.norm(log_so3(turn))) <= _ALIKE_DEG)
 
 
 def _by_axis(cameras: Mapping[str, CameraRecord]) -> list[str]:

@@ -1,11 +1,13 @@
 """Format `kitti`: one sequence of KITTI's odometry benchmark, as most research code reads it.
 
-`sequences/00/velodyne/000000.bin`, `image_2/000000.png` (and `image_3` ...), `times.txt`, `calib.txt`, and
+`sequences/00/velodyne/000000.bin`, `image_2/000000.png` (and `image_3`), `times.txt`, `calib.txt`, and
 `poses/00.txt`: camera 0 to its first pose, a 3 x 4 matrix a line. `calib.txt` has `P0` to `P3` of the
 cameras and `Tr`, LiDAR to camera 0. Without images the camera is a nominal one in the LiDAR's place. Frames
-count from 0.
+count from 0. `image_2` is the pinhole camera that looks ahead; `image_3` another one of the same axes, as the
+benchmark's readers take all cameras to be rectified to each other; others are left out.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,8 @@ from nvsf_core.drives.kitti360.scans import write_scan
 from nvsf_core.drives.kitti360.writer import write_image
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
-from nvsf_core.stages.exports.records import DataSet
+from nvsf_core.stages.exports.camera_places import are_parallel, pinholes_of
+from nvsf_core.stages.exports.records import CameraRecord, DataSet
 
 FOLDER = "kitti"
 _SEQUENCE = "00"
@@ -26,11 +29,18 @@ _FIRST = 2
 """KITTI's colour cameras are numbers 2 and 3."""
 
 
+def kitti_cameras(cameras: Mapping[str, CameraRecord]) -> dict[str, str]:
+    """Camera to its folder, `image_2` and, where another has the same axes, `image_3`."""
+    pinholes = pinholes_of(cameras)
+    rectified = [name for name in pinholes if are_parallel(cameras[name], cameras[pinholes[0]])]
+    return dict(zip(rectified, (f"image_{number}" for number in (_FIRST, _FIRST + 1)), strict=False))
+
+
 def write_kitti(folder: Path, data: DataSet) -> None:
     """Write a data set as one sequence of the odometry benchmark."""
     root = folder / FOLDER
     place = root / "sequences" / _SEQUENCE
-    names = [name for name, one in data.cameras.items() if isinstance(one.model, Pinhole)][: 4 - _FIRST]
+    names = list(kitti_cameras(data.cameras))
     in_lidar = data.cameras[names[0]].in_lidar if names else _NOMINAL
     camera_to_world = data.lidar_to_world @ in_lidar
     relative = invert_pose(camera_to_world[:1]) @ camera_to_world

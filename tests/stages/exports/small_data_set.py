@@ -18,6 +18,14 @@ POSES = np.stack(
 PINHOLE = Pinhole(fx=50.0, fy=52.0, cx=31.0, cy=23.0, width=64, height=48)
 
 
+def rig(**yaw_deg: float) -> dict[str, CameraRecord]:
+    """Level cameras that look to the left of the way ahead by so many degrees."""
+    return {
+        name: CameraRecord(model=PINHOLE, in_lidar=pose_of_angles((0, 0, 0), turn, 0, 0) @ LEVEL)
+        for name, turn in yaw_deg.items()
+    }
+
+
 def scan(index: int) -> ScanRecord:
     generator = np.random.default_rng(index)
     azimuth = np.sort(generator.uniform(0.0, 2.0 * np.pi, POINTS))

@@ -16,9 +16,9 @@ from nvsf_core.drives.kitti360.frames import frame_times, read_poses
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.se3 import invert_pose, transform_points
-from nvsf_core.stages.exports.kitti import write_kitti
+from nvsf_core.stages.exports.kitti import kitti_cameras, write_kitti
 from nvsf_core.stages.exports.kitti360 import object_numbers, write_kitti360
-from nvsf_core.stages.exports.records import DataSet
+from nvsf_core.stages.exports.records import CameraRecord, DataSet
 from nvsf_core.stages.exports.ros import EPOCH_S, POINT, write_mcap, write_rosbag2
 from nvsf_core.stages.views.instances import boxes_at
 from tests.stages.exports import small_data_set as small
@@ -51,6 +51,31 @@ def test_kitti_is_read_as_odometry_loaders_read_it(tmp_path: Path) -> None:
     u, v, depth = (projection @ np.append(transform_points(lidar_to_camera, point_m)[0], 1.0)).tolist()
     expected, inside = small.PINHOLE.project(transform_points(invert_pose(small.IN_LIDAR), point_m))
     assert inside[0] and np.allclose([u / depth, v / depth], expected[0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("rig", "folders"),
+    [
+        (small.rig(back=180.0, front=0.0, left=90.0), {"front": "image_2"}),
+        (small.rig(back=180.0, left=0.2, right=0.0), {"left": "image_2", "right": "image_3"}),
+        (small.rig(image_00=0.0, image_02=90.0), {"image_00": "image_2"}),
+        (small.rig(image_00=0.0, image_01=0.0, image_02=0.0), {"image_00": "image_2", "image_01": "image_3"}),
+        (small.rig(image_02=0.0, image_03=0.0), {"image_02": "image_2", "image_03": "image_3"}),
+        (small.rig(image_02=90.0), {"image_02": "image_2"}),
+    ],
+    ids=["ahead", "a pair", "KITTI-360", "KITTI", "KITTI in colour", "one fisheye"],
+)
+def test_kittis_cameras_are_the_one_ahead_and_one_beside_it(
+    rig: dict[str, CameraRecord], folders: dict[str, str], tmp_path: Path
+) -> None:
+    assert kitti_cameras(rig) == folders
+    write_kitti(tmp_path, replace(small.data_set(), cameras=rig))
+    place = tmp_path / "kitti/sequences/00"
+    assert sorted(path.name for path in place.glob("image_*")) == list(folders.values())
+    # pykitti takes P3 for K [I | t]: its left part must be a camera's matrix.
+    calib = dict(line.split(": ") for line in (place / "calib.txt").read_text().splitlines())
+    left = np.fromstring(calib["P3"], sep=" ").reshape(3, 4)[:, :3]
+    assert np.allclose(left, small.PINHOLE.matrix, atol=1.0)
 
 
 def test_kitti360_is_read_with_calibration_poses_times_and_boxes(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from nvsf_core.geometry.se3 import invert_pose, pose_from_parts, pose_of_angles, transform_points
+from nvsf_core.geometry.se3 import invert_pose, pose_from_parts, transform_points
 from nvsf_core.stages.exports.nuscenes import LIDAR, TABLES, VERSION, nuscenes_channels, write_nuscenes
 from nvsf_core.stages.exports.records import CameraRecord, ImageRecord
 from tests.stages.exports import small_data_set as small
@@ -90,14 +90,6 @@ def test_images_have_intrinsics_and_place(root: Path, tables: dict[str, Any]) ->
         assert np.allclose(pose, small.image("image_00", index).camera_to_world, atol=1e-6)
 
 
-def _rig(**yaw_deg: float) -> dict[str, CameraRecord]:
-    """Level cameras that look to the left of the way ahead by so many degrees."""
-    return {
-        name: CameraRecord(model=small.PINHOLE, in_lidar=pose_of_angles((0, 0, 0), turn, 0, 0) @ small.LEVEL)
-        for name, turn in yaw_deg.items()
-    }
-
-
 def test_each_camera_of_a_rig_has_a_channel_and_its_images(tmp_path: Path) -> None:
     level = dict.fromkeys(("back", "front"), 0.0)
     shades = {"back": 10, "front": 200}
@@ -105,7 +97,7 @@ def test_each_camera_of_a_rig_has_a_channel_and_its_images(tmp_path: Path) -> No
     def shown(camera: str, index: int) -> ImageRecord:
         return replace(small.image(camera, index), rgb=np.full((48, 64, 3), shades[camera], np.uint8))
 
-    write_nuscenes(tmp_path, replace(small.data_set(), cameras=_rig(**level), image=shown))
+    write_nuscenes(tmp_path, replace(small.data_set(), cameras=small.rig(**level), image=shown))
     rows = json.loads((tmp_path / "nuscenes" / VERSION / "sample_data.json").read_text())
     assert len({row["token"] for row in rows}) == len(rows) == 3 * small.COUNT
     for channel, shade in (("CAM_BACK", 10), ("CAM_FRONT", 200)):
@@ -116,11 +108,11 @@ def test_each_camera_of_a_rig_has_a_channel_and_its_images(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("rig", "ahead"),
     [
-        (_rig(left=90.0, middle=-4.0, right=-90.0), "middle"),
-        (_rig(left_eye=0.3, right_eye=0.0, rear=180.0), "left_eye"),
-        (_rig(back=0.0, front=30.0), "front"),
-        (_rig(image_02=90.0, image_04=0.0), "image_02"),
-        (_rig(image_00=3.0, image_01=0.0), "image_00"),
+        (small.rig(left=90.0, middle=-4.0, right=-90.0), "middle"),
+        (small.rig(left_eye=0.3, right_eye=0.0, rear=180.0), "left_eye"),
+        (small.rig(back=0.0, front=30.0), "front"),
+        (small.rig(image_02=90.0, image_04=0.0), "image_02"),
+        (small.rig(image_00=3.0, image_01=0.0), "image_00"),
     ],
     ids=["by its axis", "first of a pair", "by its name", "as KITTI has it", "first of KITTI's"],
 )
