@@ -236,6 +236,21 @@ class AbstractPosedDrive(AbstractDrive):
             has_scans=self.has_scans(), sensor="" if named == "found" else named, notes=tuple(notes),
         )  # fmt: skip
 
+    def path_of_section(self) -> PosePath | None:
+        """The path's own poses within a second of the section, on the clock of `times`.
+
+        None where that clock is assumed: what lies between frames is then not known.
+        """
+        known = [frame for frame in self.frames if self.instant_s(frame) is not None]
+        times, path = self.times(), self._path
+        if times.is_assumed or not known:
+            return None
+        later_s = (
+            path.time_s - float(self.instant_s(known[0]) or 0.0) + times.time_s[known[0] - self.frames[0]]
+        )
+        is_near = (later_s > -_LONGEST_GAP_S) & (later_s < times.time_s[-1] + _LONGEST_GAP_S)
+        return PosePath(later_s[is_near], path.poses[is_near], path.place)
+
     def places_m(self) -> np.ndarray:
         """Positions of the path."""
         path = self.pose_path()

@@ -23,13 +23,20 @@ def write_description(layout: PlainLayout, lidar: str, notes: Sequence[str] = ()
 
 
 def write_poses(
-    layout: PlainLayout, frames: Sequence[int], time_s: Sequence[float], poses: Sequence[np.ndarray]
+    layout: PlainLayout,
+    frames: Sequence[int] | None,
+    time_s: Sequence[float],
+    poses: Sequence[np.ndarray],
 ) -> None:
-    """Write `poses.csv`: of each frame its time and the LiDAR's pose (4, 4) in the world, metres."""
+    """Write `poses.csv`: of each moment its frame and the LiDAR's pose (4, 4) in the world, metres.
+
+    Without frames, `frames.csv` says when they were.
+    """
     names = [f"m{row}{column}" for row in range(3) for column in range(4)]
-    lines = [",".join(["frame", "time_s", *names])]
-    for frame, moment_s, pose in zip(frames, time_s, poses, strict=True):
-        lines.append(",".join([str(frame), f"{moment_s:.9f}", *map(_digits, pose[:3].reshape(-1))]))
+    lines = [",".join([*(() if frames is None else ("frame",)), "time_s", *names])]
+    for number, (moment_s, pose) in enumerate(zip(time_s, poses, strict=True)):
+        own = [] if frames is None else [str(frames[number])]
+        lines.append(",".join([*own, f"{moment_s:.9f}", *map(_digits, pose[:3].reshape(-1))]))
     _write_lines(layout.poses_path, lines)
 
 

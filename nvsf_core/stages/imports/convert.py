@@ -91,6 +91,7 @@ def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[s
         facts = replace(facts, sensor="")
         notes.append(f"the scans are not of an {HDL_64E.name}: their lasers are to be found")
     target = TARGETS[layout](folder, scene, facts)
+    target.path = source.path_of_section() if isinstance(source, AbstractPosedDrive) else None
     left_out: list[str] = []
     scans, images = 0, 0
     for number, frame in enumerate(source.frames):

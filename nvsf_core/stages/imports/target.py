@@ -10,6 +10,7 @@ from nvsf_core.drives.drive import DriveFacts
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.boxes import Box
 from nvsf_core.drives.kitti360.scans import Scan
+from nvsf_core.drives.posed import PosePath
 
 
 class AbstractTarget(ABC):
@@ -19,6 +20,8 @@ class AbstractTarget(ABC):
         self.folder = folder
         self.scene = scene
         self.facts = facts
+        self.path: PosePath | None = None
+        """Poses at a rate of their own, on the clock of the frames' times; None = the frames' alone."""
         self.left_out: list[str] = []
         """What the layout cannot hold, in words; whole after `finish`."""
 

@@ -1,0 +1,74 @@
+"""A drive imported as plain files keeps its path between frames."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nvsf_core.drives.detect import whole_drive
+from nvsf_core.drives.drive import drive_of
+from nvsf_core.drives.entries import SceneEntry
+from nvsf_core.drives.kitti360.scans import Scan
+from nvsf_core.drives.plain.layout import PlainLayout
+from nvsf_core.drives.plain.writer import (
+    write_cameras,
+    write_description,
+    write_frame_times,
+    write_image_times,
+    write_plain_image,
+    write_plain_scan,
+    write_poses,
+)
+from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.se3 import pose_of_angles
+from nvsf_core.stages.imports.convert import import_drive
+from tests.stages.exports.small_data_set import LEVEL
+
+FRAMES, STEP_S, DELAY_S, BEGIN_S = 8, 0.1, 0.045, 37.2
+CAMERA = Pinhole(fx=20.0, fy=20.0, cx=15.5, cy=11.5, width=32, height=24)
+
+
+def _place(time_s: float) -> np.ndarray:
+    """10 m/s ahead, pitching by a degree twice a second."""
+    return pose_of_angles((10.0 * time_s, 0.0, 1.8), 0.0, float(np.sin(4.0 * np.pi * time_s)), 0.0)
+
+
+def _write(root: Path, path_s: np.ndarray, frames: range | None, points_s: np.ndarray | None) -> SceneEntry:
+    """A drive whose images are later than its scans, at poses of these times."""
+    layout = PlainLayout(root)
+    write_description(layout, "VLP-16")
+    write_poses(layout, frames, path_s.tolist(), [_place(one) for one in path_s])
+    moments_s = {frame: BEGIN_S + STEP_S * frame for frame in range(FRAMES)}
+    write_frame_times(layout, moments_s)
+    write_cameras(layout, {"front": (CAMERA, LEVEL)})
+    write_image_times(layout, "front", {frame: one + DELAY_S for frame, one in moments_s.items()})
+    angle = np.linspace(np.pi, -np.pi, 200, endpoint=False)
+    rows = np.stack([9.0 * np.cos(angle), 9.0 * np.sin(angle), 0.0 * angle, 0.5 + 0.0 * angle], axis=1)
+    for frame in range(FRAMES):
+        write_plain_scan(layout, frame, Scan(rows.astype(np.float32), 0, offset_s=points_s))
+        write_plain_image(layout, "front", frame, np.arange(24 * 32 * 3, dtype=np.uint8).reshape(24, 32, 3))
+    return whole_drive(root, "plain", first=2, last=FRAMES - 1)
+
+
+@pytest.mark.parametrize("points_s", [None, np.linspace(0.0, STEP_S, 200)], ids=["bare", "stamped at begin"])
+def test_images_between_frames_are_where_the_whole_path_says(tmp_path, points_s):
+    # The path ends 2 ms before the last image.
+    path_s = BEGIN_S + STEP_S * (FRAMES - 1) + DELAY_S - 0.002 - np.arange(100)[::-1] * 0.01
+    scene = _write(tmp_path / "in", path_s, None, points_s)
+    done = import_drive(scene, tmp_path / "out", progress=lambda line: None)
+    recorded, found = drive_of(scene), drive_of(whole_drive(tmp_path / "out", "plain"))
+    poses, again = recorded.facts().poses, found.facts().poses
+    assert done.left_out == () and sorted(again) == sorted(poses) == list(range(2, FRAMES))
+    for frame, pose in poses.items():
+        assert np.allclose(again[frame], pose, atol=1e-9)
+        between = recorded.pose_at_image("front", frame, pose)
+        assert np.allclose(found.pose_at_image("front", frame, again[frame]), between, atol=1e-9)
+
+
+def test_a_path_of_frames_alone_says_of_which_each_pose_is(tmp_path):
+    path_s = BEGIN_S + STEP_S * np.arange(FRAMES)
+    import_drive(
+        _write(tmp_path / "in", path_s, range(FRAMES), None), tmp_path / "out", progress=lambda line: None
+    )
+    rows = (tmp_path / "out/poses.csv").read_text().splitlines()
+    assert rows[0].startswith("frame,time_s,") and len(rows) == 1 + FRAMES - 2
