@@ -52,6 +52,14 @@ class RectifiedCamera:
         )  # fmt: skip
 
 
+def flat_fisheye(pinhole: Pinhole) -> MeiFisheye:
+    """A pinhole camera in the place of a fisheye: without xi and distortion the model is one."""
+    return MeiFisheye(
+        xi=0.0, k1=0.0, k2=0.0, p1=0.0, p2=0.0, gamma1=pinhole.fx, gamma2=pinhole.fy, u0=pinhole.cx,
+        v0=pinhole.cy, width=pinhole.width, height=pinhole.height,
+    )  # fmt: skip
+
+
 @dataclass(frozen=True, slots=True)
 class WrittenBox:
     """One 3-D box of `data_3d_bboxes`."""

@@ -18,6 +18,7 @@ from nvsf_core.drives.kitti360.scans import write_scan
 from nvsf_core.drives.kitti360.writer import (
     RectifiedCamera,
     WrittenBox,
+    flat_fisheye,
     write_boxes,
     write_cam_to_pose,
     write_fisheye,
@@ -29,7 +30,6 @@ from nvsf_core.drives.kitti360.writer import (
     write_timestamps,
 )
 from nvsf_core.errors import DataError
-from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet
@@ -95,12 +95,7 @@ def _write_calibration(layout: DriveLayout, cameras: dict[str, CameraRecord]) ->
         if name in PERSPECTIVE_CAMERAS:
             perspective[name] = RectifiedCamera.of(model)
         else:
-            # Without xi and distortion the model is a pinhole.
-            flat = MeiFisheye(
-                xi=0.0, k1=0.0, k2=0.0, p1=0.0, p2=0.0, gamma1=model.fx, gamma2=model.fy, u0=model.cx,
-                v0=model.cy, width=model.width, height=model.height,
-            )  # fmt: skip
-            write_fisheye(layout.fisheye_path(name), name, flat)
+            write_fisheye(layout.fisheye_path(name), name, flat_fisheye(model))
     if perspective:
         write_perspective(layout.perspective_path, perspective)
     in_lidar = {name: camera.in_lidar for name, camera in cameras.items()}

@@ -1,4 +1,4 @@
-"""An imported drive in KITTI-360's layout: up to two pinhole cameras and two fisheyes, no rings or times.
+"""An imported drive in KITTI-360's layout: four cameras, of which two may be fisheyes; no rings or times.
 
 Points that were stamped one by one, or numbered by their lasers, lose that here: a plain drive keeps it. What
 is lost is said.
@@ -6,6 +6,7 @@ is lost is said.
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,12 @@ from nvsf_core.drives.drive import DriveFacts
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.boxes import Box
 from nvsf_core.drives.kitti360.calibration import CameraCalibration
-from nvsf_core.drives.kitti360.layout import FISHEYE_CAMERAS, PERSPECTIVE_CAMERAS, DriveLayout
+from nvsf_core.drives.kitti360.layout import CAMERAS, FISHEYE_CAMERAS, PERSPECTIVE_CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.scans import Scan, write_scan
 from nvsf_core.drives.kitti360.writer import (
     RectifiedCamera,
     WrittenBox,
+    flat_fisheye,
     write_boxes,
     write_cam_to_pose,
     write_fisheye,
@@ -29,7 +31,6 @@ from nvsf_core.drives.kitti360.writer import (
     write_timestamps,
 )
 from nvsf_core.errors import DataError
-from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.stages.exports.kitti360 import object_numbers
@@ -54,26 +55,14 @@ class Kitti360Target(AbstractTarget):
     def _layout(self) -> DriveLayout:
         return DriveLayout(self.folder, self.scene.sequence)
 
-    @property
+    @cached_property
     def _names(self) -> Mapping[str, str]:
         """Recorded camera to its name in the layout."""
-        cameras = self.facts.calibration.cameras
-        if set(cameras) <= {*PERSPECTIVE_CAMERAS, *FISHEYE_CAMERAS} and all(
-            (name in PERSPECTIVE_CAMERAS) == isinstance(one.intrinsics, Pinhole)
-            for name, one in cameras.items()
-        ):
-            return {name: name for name in cameras}
-        flat = [name for name, one in cameras.items() if isinstance(one.intrinsics, Pinhole)]
-        round_ones = [name for name in cameras if name not in flat]
-        pairs = [
-            *zip(flat, PERSPECTIVE_CAMERAS, strict=False),
-            *zip(round_ones, FISHEYE_CAMERAS, strict=False),
-        ]
-        return dict(pairs)
+        return layout_names(self.facts.calibration.cameras)
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """The first two of each kind."""
+        """Those that have a place."""
         return tuple(self._names)
 
     def write_scan(self, frame: int, scan: Scan) -> None:
@@ -107,6 +96,18 @@ class Kitti360Target(AbstractTarget):
             write_timestamps(layout.timestamps_path(kind), START, (stamps + shift * sweep_s).tolist())
         self._write_boxes(boxes)
         self.left_out += self._losses()
+        self.notes += self._renames()
+
+    def _renames(self) -> list[str]:
+        """Which camera is called what, and which pinhole is written as a fisheye, in words."""
+        own = self.facts.calibration.cameras
+        is_flat = {name: isinstance(own[name].intrinsics, Pinhole) for name in self._names}
+        return [
+            f"camera {name} is {there} of the layout"
+            + (", as a MEI camera with xi = 0" if is_flat[name] and there in FISHEYE_CAMERAS else "")
+            for name, there in self._names.items()
+            if name != there or (is_flat[name] and there in FISHEYE_CAMERAS)
+        ]
 
     def _write_boxes(self, boxes: Sequence[Box]) -> None:
         try:
@@ -129,8 +130,8 @@ class Kitti360Target(AbstractTarget):
         """What the layout has no place for, in words."""
         facts = self.facts
         lost = [
-            f"camera {name}: the layout has {len(PERSPECTIVE_CAMERAS)} pinhole cameras and "
-            f"{len(FISHEYE_CAMERAS)} fisheyes, taken by others"
+            f"camera {name}: the layout has {len(CAMERAS)} cameras, of which {len(FISHEYE_CAMERAS)} may be "
+            "fisheyes, taken by others"
             for name in facts.calibration.cameras if name not in self._names
         ]  # fmt: skip
         lost += [
@@ -148,9 +149,11 @@ class Kitti360Target(AbstractTarget):
         perspective = {}
         for name, camera in cameras.items():
             model = camera.intrinsics
-            if isinstance(model, MeiFisheye):
-                write_fisheye(layout.fisheye_path(name), name, model)
+            if name in FISHEYE_CAMERAS:
+                fisheye = flat_fisheye(model) if isinstance(model, Pinhole) else model
+                write_fisheye(layout.fisheye_path(name), name, fisheye)
             else:
+                assert isinstance(model, Pinhole), "fisheyes have the places of fisheyes"
                 perspective[name] = RectifiedCamera.of(model)
         if perspective:
             write_perspective(layout.perspective_path, perspective)
@@ -169,3 +172,28 @@ class Kitti360Target(AbstractTarget):
             f'lidar = "{lidar}"',
             f"sweep_period_s = {self.facts.times.sweep_period_s:.6g}",
         ]
+
+
+def layout_names(cameras: Mapping[str, CameraCalibration]) -> dict[str, str]:
+    """Recorded camera to its name in the layout; those that find no place are left out.
+
+    One that has a name of the layout keeps it: a pinhole a fisheye's, as of KITTI's colour cameras, only
+    beside an `image_00`, since a pinhole's place keeps its pixels as they are. Others take what is free.
+    """
+    flat = [name for name, one in cameras.items() if isinstance(one.intrinsics, Pinhole)]
+    curved = [name for name in cameras if name not in flat]
+    own = {name: name for name in flat if name in PERSPECTIVE_CAMERAS}
+    own |= {name: name for name in curved if name in FISHEYE_CAMERAS}
+    own |= _in_free_places(curved, FISHEYE_CAMERAS, own)
+    if PERSPECTIVE_CAMERAS[0] in own:
+        free = set(FISHEYE_CAMERAS) - set(own.values())
+        own |= {name: name for name in flat if name in free}
+    own |= _in_free_places(flat, CAMERAS, own)
+    return {name: own[name] for name in cameras if name in own}
+
+
+def _in_free_places(names: Sequence[str], places: Sequence[str], own: Mapping[str, str]) -> dict[str, str]:
+    """Places for those cameras that have none yet."""
+    without = [name for name in names if name not in own]
+    free = [place for place in places if place not in own.values()]
+    return dict(zip(without, free, strict=False))

@@ -24,6 +24,8 @@ class AbstractTarget(ABC):
         """Poses at a rate of their own, on the clock of the frames' times; None = the frames' alone."""
         self.left_out: list[str] = []
         """What the layout cannot hold, in words; whole after `finish`."""
+        self.notes: list[str] = []
+        """What the layout holds in another way than the recorded drive; whole after `finish`."""
 
     @property
     def cameras(self) -> tuple[str, ...]:

@@ -8,7 +8,10 @@ import pytest
 from nvsf_core.drives.detect import whole_drive
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.kitti360.boxes import Box
+from nvsf_core.drives.kitti360.calibration import CameraCalibration
+from nvsf_core.drives.kitti360.layout import CAMERAS
 from nvsf_core.drives.kitti360.scans import Scan
+from nvsf_core.drives.kitti360.writer import flat_fisheye
 from nvsf_core.drives.plain.layout import PlainLayout
 from nvsf_core.drives.plain.writer import (
     write_cameras,
@@ -21,10 +24,12 @@ from nvsf_core.drives.plain.writer import (
 )
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.stages.imports.convert import import_drive
+from nvsf_core.stages.imports.kitti360_layout import layout_names
 
 FRAMES, STEP_S, POINTS = 4, 0.5, 400
 CAMERA = Pinhole(fx=20.0, fy=20.0, cx=15.5, cy=11.5, width=32, height=24)
 MOUNTING = np.array([[0.0, 0.0, 1.0, 0.3], [-1.0, 0.0, 0.0, 0.1], [0.0, -1.0, 0.0, -0.2], [0, 0, 0, 1]])
+RIG = ("back", "front", "left", "middle", "right")
 OBJECTS = {26_001: "car", 3017: "car", 17: "caravan"}
 
 
@@ -40,7 +45,7 @@ def recorded(tmp_path):
     write_description(layout, "VLP-16")
     moments_s = (STEP_S * np.arange(FRAMES)).tolist()
     write_poses(layout, range(FRAMES), moments_s, [np.eye(4)] * FRAMES)
-    write_cameras(layout, dict.fromkeys(("front", "left", "right"), (CAMERA, MOUNTING)))
+    write_cameras(layout, dict.fromkeys(RIG, (CAMERA, MOUNTING)))
     fraction = np.linspace(-0.5, 0.5, POINTS, endpoint=False)
     angle = -2.0 * np.pi * fraction
     rows = np.stack([9.0 * np.cos(angle), 9.0 * np.sin(angle), np.zeros(POINTS), np.full(POINTS, 0.5)], 1)
@@ -48,7 +53,7 @@ def recorded(tmp_path):
     for frame in range(FRAMES):
         ring = np.arange(POINTS) % 16
         write_plain_scan(layout, frame, Scan(rows.astype(np.float32), 0, ring=ring, offset_s=0.05 * fraction))
-        for camera in ("front", "left", "right"):
+        for camera in RIG:
             write_plain_image(layout, camera, frame, rng.integers(0, 255, (24, 32, 3), np.uint8))
     write_image_times(layout, "left", {frame: moments_s[frame] + 0.02 for frame in range(FRAMES)})
     write_plain_boxes(layout, [_box(*one) for one in OBJECTS.items()])
@@ -57,7 +62,7 @@ def recorded(tmp_path):
 
 def test_what_the_layout_cannot_hold_is_said(recorded, tmp_path):
     done = import_drive(whole_drive(recorded, "plain"), tmp_path / "out", layout="kitti360", progress=print)
-    assert (done.scans, done.images) == (4, 8)
+    assert (done.scans, done.images) == (4, 16)
     assert [words.split(":")[0] for words in done.left_out] == [
         "camera right",
         "times of images of left, up to 20.0 ms from their frames'",
@@ -67,6 +72,54 @@ def test_what_the_layout_cannot_hold_is_said(recorded, tmp_path):
     assert json.loads((tmp_path / "out/import.json").read_text())["left_out"] == list(done.left_out)
     kept = import_drive(whole_drive(recorded, "plain"), tmp_path / "kept", layout="plain", progress=print)
     assert kept.left_out == ()
+
+
+def test_a_camera_of_another_name_is_read_back_under_the_one_that_is_said(recorded, tmp_path):
+    done = import_drive(whole_drive(recorded, "plain"), tmp_path / "out", layout="kitti360", progress=print)
+    assert [words for words in done.notes if words.startswith("camera")] == [
+        "camera back is image_00 of the layout",
+        "camera front is image_01 of the layout",
+        "camera left is image_02 of the layout, as a MEI camera with xi = 0",
+        "camera middle is image_03 of the layout, as a MEI camera with xi = 0",
+    ]
+    source, found = (
+        drive_of(whole_drive(recorded, "plain")),
+        drive_of(whole_drive(tmp_path / "out", "kitti360")),
+    )
+    model = found.facts().calibration.cameras["image_03"].intrinsics
+    points_m = np.array([[0.3, -0.2, 1.0], [-0.5, 0.1, 2.0]])
+    assert np.allclose(model.project(points_m)[0], CAMERA.project(points_m)[0])
+    images = [
+        drive.parse_image(name, drive.find_image(name, 2, 32, 24), 32, 24)
+        for drive, name in ((source, "middle"), (found, "image_03"))
+    ]
+    assert np.array_equal(*images)
+
+
+FISHEYE = flat_fisheye(CAMERA)
+
+
+@pytest.mark.parametrize(
+    ("models", "names"),
+    [
+        (dict.fromkeys(CAMERAS, CAMERA), dict(zip(CAMERAS, CAMERAS, strict=True))),
+        ({"image_00": CAMERA, "image_02": CAMERA}, {"image_00": "image_00", "image_02": "image_02"}),
+        ({"image_02": CAMERA, "image_03": CAMERA}, {"image_02": "image_00", "image_03": "image_01"}),
+        ({"image_00": CAMERA, "image_02": FISHEYE}, {"image_00": "image_00", "image_02": "image_02"}),
+        ({"image_00": FISHEYE, "a": CAMERA}, {"image_00": "image_02", "a": "image_00"}),
+        (
+            {"image_00": CAMERA, "image_02": CAMERA, "up": FISHEYE, "down": FISHEYE, "aft": FISHEYE},
+            {"image_00": "image_00", "image_02": "image_01", "up": "image_02", "down": "image_03"},
+        ),
+    ],
+    ids=["KITTI", "two of KITTI", "KITTI in colour", "KITTI-360", "named otherwise", "fisheyes first"],
+)
+def test_cameras_of_the_layout_keep_their_place_where_it_can_hold_them(models, names):
+    cameras = {
+        name: CameraCalibration(name=name, intrinsics=model, to_pose=MOUNTING)
+        for name, model in models.items()
+    }
+    assert layout_names(cameras) == names
 
 
 def test_a_sweep_that_is_shorter_than_the_step_stays_so(recorded, tmp_path):
