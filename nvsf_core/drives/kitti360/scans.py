@@ -9,8 +9,8 @@ from nvsf_core.drives.kitti360.text import read_bytes
 from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.sensors.tables import HDL_64E
 
-MAX_RANGE_M = 200.0
-"""Longest range of a rotating car LiDAR; points beyond it are absurd."""
+MAX_RANGE_M = 300.0
+"""Longer than the range of any rotating car LiDAR (245 m of a VLS-128); points beyond it are absurd."""
 MAX_ABSURD_SHARE = 0.01
 """Scans with a larger share of absurd points are refused."""
 
@@ -27,7 +27,7 @@ class Scan:
     points: np.ndarray
     """(N, 4) float32: x, y, z (sensor frame, metres), reflectance 0..1."""
     n_absurd: int
-    """Points left out as NaN, infinite, beyond 200 m, or with a reflectance outside 0..1."""
+    """Points left out as NaN, infinite, beyond `MAX_RANGE_M`, or with a reflectance outside 0..1."""
     ring: np.ndarray | None = None
     """(N,) int64, number of the laser as the recording has it, in no known order; None = not recorded."""
     offset_s: np.ndarray | None = None

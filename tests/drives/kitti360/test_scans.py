@@ -5,6 +5,7 @@ import pytest
 
 from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan_bytes
 from nvsf_core.errors import DataError
+from nvsf_core.sensors.tables import SENSOR_TABLES
 
 
 def written(path: Path, points: np.ndarray) -> Path:
@@ -29,7 +30,7 @@ def test_a_good_scan_comes_back_bit_for_bit_in_file_order(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(
     "garbage",
-    [[np.nan, 0, 0, 0.5], [np.inf, 0, 0, 0.5], [300, 0, 0, 0.5], [1, 1, 1, 77.0], [3e38, 3e38, 3e38, 0]],
+    [[np.nan, 0, 0, 0.5], [np.inf, 0, 0, 0.5], [301, 0, 0, 0.5], [1, 1, 1, 77.0], [3e38, 3e38, 3e38, 0]],
 )
 def test_few_absurd_returns_are_dropped_and_counted(tmp_path: Path, garbage: list[float]) -> None:
     points = plausible()
@@ -44,8 +45,15 @@ def test_more_than_one_percent_of_absurd_returns_spoil_the_scan(tmp_path: Path) 
     points[:10, 0] = 500.0
     assert load_scan(written(tmp_path / "ten.bin", points)).n_absurd == 10
     points[10, 0] = np.nan
-    with pytest.raises(DataError, match=r"11 of 1000 returns are absurd \(1 not finite, 10 beyond 200 m"):
+    with pytest.raises(DataError, match=r"11 of 1000 returns are absurd \(1 not finite, 10 beyond 300 m"):
         load_scan(written(tmp_path / "eleven.bin", points))
+
+
+@pytest.mark.parametrize("sensor", SENSOR_TABLES)
+def test_returns_as_far_as_a_known_lidar_sees_are_usable(tmp_path: Path, sensor: str) -> None:
+    points = plausible()
+    points[:100, :3] = SENSOR_TABLES[sensor].max_range_m, 0.0, 0.0
+    assert load_scan(written(tmp_path / "a.bin", points)).n_absurd == 0
 
 
 def test_rays_written_without_an_answer_do_not_spoil_the_scan(tmp_path: Path) -> None:
