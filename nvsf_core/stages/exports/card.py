@@ -92,6 +92,7 @@ def _what(manifest: Mapping[str, Any]) -> dict[str, Any]:
         "seconds_of_the_scene": [min(instants), max(instants)] if instants else [],
         "sampled": manifest["drawn"],
         "formats": list(view["exports"]),
+        "camera_names": manifest.get("camera_names", {}),
     }
 
 
@@ -156,7 +157,7 @@ def _markdown(card: Mapping[str, Any]) -> str:
         "",
         f"**What.** {what['kind']}: view `{what['view']['name']}`; scans: {what['scans']}, with "
         f"{what['returns']:,} returns; images: {what['images']}; sensors: {sensors}; formats: "
-        f"{', '.join(what['formats'])}.",
+        f"{', '.join(what['formats'])}.{_camera_words(what['camera_names'])}",
         "",
         f"**From what.** {source['files']} recorded files of `{source['recording']}`, scene "
         f"`{source['scene']}`; the manifest has the checksum of each. Licence of the recording: "
@@ -184,6 +185,17 @@ def _markdown(card: Mapping[str, Any]) -> str:
         lines += ["", "## Compared with the recording", ""]
         lines += [f"- {one['sensor']}: **{one['verdict']}**. {one['why']}" for one in card["trust"]]
     return "\n".join(lines) + "\n"
+
+
+def _camera_words(names: Mapping[str, Mapping[str, str | None]]) -> str:
+    """Which camera is called what in which format, and which is left out of it, where any is."""
+    found = []
+    for exported, of_format in names.items():
+        renamed = [f"`{own}` is `{there}`" for own, there in of_format.items() if there not in (None, own)]
+        left_out = [f"`{own}` is left out" for own, there in of_format.items() if there is None]
+        if renamed or left_out:
+            found.append(f" In `{exported}` camera {', '.join([*renamed, *left_out])}.")
+    return "".join(found)
 
 
 def _error_lines(errors: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -148,7 +148,8 @@ def _joined(
         rows["field_metrics"] += manifest["field_metrics"]
         left_out |= {path.name for path in folder.iterdir() if path.name in WHOLE}
     version = "joined-" + "-".join(one["version"].rpartition("-")[2] for one in manifests)[:60]
-    common = {key: value for key, value in manifests[0].items() if key not in _OF_ITS_MODEL}
+    not_common = {*_OF_ITS_MODEL, "camera_names"}  # whole formats, which have them, are not joined
+    common = {key: value for key, value in manifests[0].items() if key not in not_common}
     return {
         **common, **rows, "scene": name, "version": version,
         "view": _view(manifests), **{key: _in_common(manifests, key) for key in ("rendering", "drawn")},

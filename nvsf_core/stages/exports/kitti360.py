@@ -41,10 +41,19 @@ _LIDAR_TO_POSE = np.diag([1.0, -1.0, -1.0, 1.0])
 """The pose frame (x forward, y right, z down) lies in the LiDAR."""
 
 
+def kitti360_cameras(cameras: Mapping[str, CameraRecord]) -> dict[str, str]:
+    """Camera to its name in the layout; where all have other names, of the first four."""
+    own = [name for name in cameras if name in CAMERAS]
+    if own:
+        return {name: name for name in own}
+    flat = [name for name, camera in cameras.items() if isinstance(camera.model, Pinhole)]
+    return dict(zip(flat, CAMERAS, strict=False))
+
+
 def write_kitti360(folder: Path, data: DataSet) -> None:
     """Write a data set as a KITTI-360 root of one sequence."""
     layout = DriveLayout(folder / FOLDER, data.sequence)
-    names = _names(data.cameras)
+    names = {there: own for own, there in kitti360_cameras(data.cameras).items()}
     cameras = {name: data.cameras[own] for name, own in names.items()}
     _write_calibration(layout, cameras)
     pose_to_world = data.lidar_to_world @ invert_pose(_LIDAR_TO_POSE)
@@ -76,15 +85,6 @@ def write_kitti360(folder: Path, data: DataSet) -> None:
             write_image(layout.image_path(name, number), image.rgb)
             if image.object_id is not None:
                 write_numbers(layout.instance_path(name, number), _renumbered(image.object_id, objects))
-
-
-def _names(cameras: Mapping[str, CameraRecord]) -> dict[str, str]:
-    """Name in the layout to the camera's own; where all have other names, of the first four."""
-    own = [name for name in cameras if name in CAMERAS]
-    if own:
-        return {name: name for name in own}
-    flat = [name for name, camera in cameras.items() if isinstance(camera.model, Pinhole)]
-    return dict(zip(CAMERAS, flat, strict=False))
 
 
 def _write_calibration(layout: DriveLayout, cameras: dict[str, CameraRecord]) -> None:

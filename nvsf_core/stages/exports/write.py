@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,14 @@ from nvsf_core.clouds.laz import write_laz
 from nvsf_core.drives.kitti360.writer import write_numbers
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages.exports.card import JSON_NAME, MARKDOWN_NAME, write_card
-from nvsf_core.stages.exports.kitti import write_kitti
-from nvsf_core.stages.exports.kitti360 import write_kitti360
+from nvsf_core.stages.exports.kitti import kitti_cameras, write_kitti
+from nvsf_core.stages.exports.kitti360 import kitti360_cameras, write_kitti360
 from nvsf_core.stages.exports.manifest import CHECKSUMS, MANIFEST_NAME, write_manifest
-from nvsf_core.stages.exports.nuscenes import write_nuscenes
+from nvsf_core.stages.exports.nuscenes import nuscenes_channels, write_nuscenes
 from nvsf_core.stages.exports.of_view import RenderedView
-from nvsf_core.stages.exports.records import BoxRecord, DataSet, ScanRecord
+from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet, ScanRecord
 from nvsf_core.stages.exports.ros import write_mcap, write_rosbag2
-from nvsf_core.stages.views.files import write_images, write_scans
+from nvsf_core.stages.views.files import cameras_of, write_images, write_scans
 from nvsf_core.stages.views.instances import depth_m
 from nvsf_core.stages.views.view import camera_models
 from nvsf_core.stores.checksums import file_checksums
@@ -37,6 +37,11 @@ WHOLE: Mapping[str, Callable[[Path, DataSet], None]] = {
 }  # fmt: skip
 """Formats that hold a whole data set in a folder of their own."""
 
+_NAMED: Mapping[str, Callable[[Mapping[str, CameraRecord]], dict[str, str]]] = {
+    "kitti": kitti_cameras, "kitti360": kitti360_cameras, "nuscenes": nuscenes_channels,
+}  # fmt: skip
+"""Formats that have names of their own for cameras: camera to its name there."""
+
 
 def write_data_set(
     folder: Path, view: RenderedView, boxes: Callable[[float], list[BoxRecord]]
@@ -51,15 +56,21 @@ def write_data_set(
     a = view.arrays
     scans = [_scan(folder, view, index) for index in range(len(a["time_s"]))] if "points_m" in a else []
     images = _images(folder, view)
+    data = view.data_set(boxes)
     for name in view.entry.exports:
         if name in WHOLE:
-            WHOLE[name](folder, view.data_set(boxes))
+            WHOLE[name](folder, data)
     return {
         "schema_version": SCHEMA_VERSION,
         "sensor": view.attrs.get("sensor", ""),
         "scans": scans,
         "images": images,
         "cameras": _cameras(view),
+        "camera_names": {
+            name: _camera_names(name, data.cameras, cameras_of(a))
+            for name in view.entry.exports
+            if name in WHOLE
+        },
         "boxes": _boxes(view, boxes),
         "instances": view.attrs.get("instances", []),
     }
@@ -184,6 +195,14 @@ def _cameras(view: RenderedView) -> dict[str, Any]:
         }
         for name, facts in view.attrs.get("camera_models", {}).items()
     }
+
+
+def _camera_names(
+    exported: str, cameras: Mapping[str, CameraRecord], rendered: Sequence[str]
+) -> dict[str, str | None]:
+    """Name of each rendered camera in a format that holds a whole data set; None where it is left out."""
+    found = _NAMED[exported](cameras) if exported in _NAMED else {name: name for name in cameras}
+    return {name: found.get(name) for name in rendered}
 
 
 def _boxes(view: RenderedView, boxes: Callable[[float], list[BoxRecord]]) -> list[dict[str, Any]]:
