@@ -5,11 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from nvsf_core.drives.drive import drive_of
-from nvsf_core.drives.entries import SceneEntry
+from nvsf_core.drives.entries import KITTI_ODOMETRY, SceneEntry
 from nvsf_core.errors import DataError
 
 _WHOLE = (0, 1)
 """Frames of the entry by which a drive is asked for all that it has."""
+_TIMES_OF_POINTS = "velodyne_time"
+"""Folder beside the scans of a sequence that this project wrote: unlike the benchmark's, they are not
+compensated for motion."""
 _NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9_-]+")
 
 
@@ -46,6 +49,8 @@ def whole_drive(
 ) -> SceneEntry:  # fmt: skip
     """An entry of all frames that a recording has, or of some.
 
+    A sequence of KITTI's odometry that this project wrote is one whose scans are to be compensated.
+
     Args:
         source: Its root, as in a catalogue.
         kind: Its format.
@@ -60,10 +65,11 @@ def whole_drive(
     """
     name = _NOT_IN_NAMES.sub("_", sequence or source.stem).strip("_") or "drive"
     chosen = sequence or _only_sequence(source, kind) or name
+    is_ours = kind == KITTI_ODOMETRY and (source / "sequences" / chosen / _TIMES_OF_POINTS).is_dir()
     entry = SceneEntry(
         name=name[:60], root=source.absolute(), sequence=chosen, first_frame=_WHOLE[0], last_frame=_WHOLE[1],
-        test_frames=(), kind=kind, lidar=lidar,
-        lidar_topic=lidar_topic,
+        test_frames=(), kind=kind, lidar=lidar, lidar_topic=lidar_topic,
+        compensate=True if is_ours else None,
     )  # fmt: skip
     try:
         recorded = drive_of(entry).section().recorded

@@ -102,6 +102,17 @@ def test_scans_of_kittis_odometry_are_not_compensated_again(root, tmp_path):
     assert not kept.is_to_compensate
 
 
+@pytest.mark.parametrize("layout", ["plain", "kitti360"])
+def test_our_own_sequence_of_kitti_is_imported_as_one_to_compensate(root, tmp_path, layout):
+    write_kitti(tmp_path, data_set(tiny_scene(root / "demo")))
+    import_drive(whole_drive(tmp_path / "kitti", "kitti_odometry"), tmp_path / "out", layout=layout,
+                 progress=_silent)  # fmt: skip
+    (kept,) = load_catalogue([tmp_path / "out/scenes.toml"], None)
+    assert kept.is_to_compensate
+    shutil.rmtree(tmp_path / "kitti/sequences/00/velodyne_time")
+    assert not whole_drive(tmp_path / "kitti", "kitti_odometry").is_to_compensate, "the benchmark's own"
+
+
 def test_a_sequence_of_kittis_odometry_without_poses_says_how_to_find_them(root):
     write_kitti(root / "bare", data_set(tiny_scene(root / "demo")))
     shutil.rmtree(root / "bare/kitti/poses")

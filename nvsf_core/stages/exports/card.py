@@ -135,6 +135,11 @@ def _not_for(
             f"As the measurements of a real {manifest['sensor']}: its rays are that sensor's, what returns "
             "and how bright is learned from the recording one."
         )
+    if "kitti" in manifest["view"]["exports"] and manifest["scans"]:
+        found.append(
+            "As scans of KITTI's odometry benchmark, which are compensated for the car's motion: those in "
+            "`kitti` are not; `velodyne_time` beside them has each point's time."
+        )
     if not manifest["licence"]:
         found.append("For publication, before the recording's licence is known: it applies to what is made.")
     return found

@@ -5,6 +5,9 @@
 cameras and `Tr`, LiDAR to camera 0. Without images the camera is a nominal one in the LiDAR's place. Frames
 count from 0. `image_2` is the pinhole camera that looks ahead; `image_3` another one of the same axes, as the
 benchmark's readers take all cameras to be rectified to each other; others are left out.
+
+Unlike the benchmark's, scans are not compensated for the car's motion. `velodyne_time`, which only these
+trees have, holds each point's time after the stamp.
 """
 
 from collections.abc import Mapping

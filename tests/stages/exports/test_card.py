@@ -68,6 +68,13 @@ def test_a_card_says_what_the_data_are_not_for(tmp_path: Path) -> None:
     assert "nothing was blurred" in card["faces_and_licence_plates"]
 
 
+def test_a_card_says_that_scans_of_kitti_are_not_compensated(tmp_path: Path) -> None:
+    exported = {"name": "left", "sensor": None, "exports": ["bin", "kitti"]}
+    card, _ = _written(tmp_path, _manifest(view=exported))
+    assert any("compensated for the car's motion" in line for line in card["not_for"])
+    assert not any("compensated" in line for line in _written(tmp_path, _manifest())[0]["not_for"])
+
+
 def test_a_card_without_licence_errors_and_images_says_so(tmp_path: Path) -> None:
     manifest = _manifest(licence=None, field_metrics=[], images=[])
     card, text = _written(tmp_path, manifest)
