@@ -46,7 +46,10 @@ _CLASSES = {
     "unknownconstruction": (42, 35), "unknownvehicle": (43, 36), "unknownobject": (44, 37),
 }  # fmt: skip
 """Number in images and number in boxes, by the name in small letters."""
-_SAME = {"pedestrian": "person", "cyclist": "rider", "van": "truck", "tram": "train"}
+_SAME = {
+    "pedestrian": "person", "personsitting": "person", "cyclist": "rider", "van": "truck", "tram": "train",
+}  # fmt: skip
+"""Other data sets' names, as KITTI's, in small letters."""
 _OF_BOX = {of_box: of_image for of_image, of_box in _CLASSES.values()}
 _NOT_KNOWN = _CLASSES["unknownobject"][1]
 

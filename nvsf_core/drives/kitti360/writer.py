@@ -244,7 +244,7 @@ def _box_xml(index: int, box: WrittenBox) -> str:
     }
     text = "".join(f"  <{key}>{value}</{key}>\n" for key, value in fields.items())
     matrices = (
-        _matrix_xml("transform", 4, 4, "f", " ".join(f"{v:.8e}" for v in box.box_to_world.ravel()))
+        _matrix_xml("transform", 4, 4, "f", " ".join(f"{v:.12e}" for v in box.box_to_world.ravel()))
         + _matrix_xml("vertices", 8, 3, "f", _CUBE)
         + _matrix_xml("faces", 12, 3, "i", _CUBE_FACES)
     )

@@ -95,7 +95,7 @@ def test_numbers_of_classes_are_those_of_images_whatever_numbers_a_file_has() ->
     # kitti360Scripts turns a box's 13 (car) into the 26 of instance images, 21 (a pole) into 17.
     assert class_of("car", 13) == 26 and class_of("bigPole", 21) == 17
     assert class_of("car", 26) == 26, "as writers that know of one numbering only have it"
-    assert class_of("van", 0) == 27 and class_of("lorry", 99) == 99
+    assert class_of("van", 0) == 27 and class_of("Person (sitting)", 37) == 24 and class_of("lorry", 99) == 99
     assert [number_in_boxes(name) for name in ("car", "unknownVehicle", "traffic sign")] == [13, 36, 24]
     assert number_in_boxes("dynamic") == 37, "an unknown object"
 

@@ -77,6 +77,14 @@ def test_boxes_are_read_back(tmp_path):
     assert np.allclose(moving.box_to_world, pose, atol=1e-4)
 
 
+def test_boxes_keep_their_place_at_utm_coordinates(tmp_path):
+    pose = np.diag([4.0, 1.8, 1.5, 1.0])
+    pose[:3, 3] = 455_123.4567, 5_428_765.4321, 115.0
+    write_boxes(tmp_path / "boxes.xml", [WrittenBox(1, "car", True, 3, 0, 9, pose)])
+    ((box,), _) = read_boxes(tmp_path / "boxes.xml", 0, 9)
+    assert np.allclose(box.box_to_world, pose, rtol=0.0, atol=1e-5)
+
+
 def test_classes_of_pixels_come_back_as_they_were(tmp_path: Path) -> None:
     classes = np.random.default_rng(0).integers(0, 3, (6, 9)).astype(np.uint8)
     write_classes(tmp_path / "support" / "0.png", classes)
