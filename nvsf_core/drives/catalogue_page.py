@@ -77,7 +77,8 @@ def as_markdown() -> str:
         "optical axis, of a fisheye along the ray, 0 = not known) and, where objects are labelled or found "
         "to move, instances (uint16; the manifest's `instances` says which object each value is). Where a "
         "format's points have no ring, time and support of their own, these lie beside them: "
-        "`velodyne_points/ring` (uint16), `time` (float32 seconds after the stamp), `support` (uint8: 0 "
+        "`velodyne_points/ring` (uint16, 0 = top laser in every format; Velodyne's driver counts from the "
+        "lowest), `time` (float32 seconds after the stamp), `support` (uint8: 0 "
         "guessed, 1 extrapolated, 2 seen). What a format of a whole data set calls each camera, and which it "
         "leaves out, stands in the manifest (`camera_names`) and on the card.\n\n"
         + _table(("format", "what"), formats)
