@@ -210,7 +210,10 @@ def adjoint(
         grad_weights: (m,) float32.
         grad_summary: (n, d + 4) float32.
     """
-    found = torch.empty_like(logit), torch.empty_like(range_m), torch.empty_like(features)
+    # Row by row, as the kernel writes, whatever the strides of what was given.
+    found = tuple(
+        torch.empty_like(one, memory_format=torch.contiguous_format) for one in (logit, range_m, features)
+    )
     given = (first, logit, range_m, features, facts, weights, summary, grad_weights, grad_summary)
     _launch(_adjoint, given, found, len(summary))
     return found

@@ -78,8 +78,7 @@ def double_gradient_mask(range_m: Tensor, threshold_m: float) -> tuple[Tensor, T
         ShapeError: Fewer than two axes.
     """
     along_x, along_y = (
-        _repeat_last((g[..., :-1] - g[..., 1:]).abs() < threshold_m)
-        for g in (gradient.abs() for gradient in _gradients(range_m, threshold_m))
+        _differences(gradient.abs()).abs() < threshold_m for gradient in _gradients(range_m, threshold_m)
     )
     return _on_hits(along_x, along_y, range_m)
 
@@ -125,14 +124,15 @@ def _gradients(range_m: Tensor, threshold_m: float) -> tuple[Tensor, Tensor]:
         raise RecipeError(f"gradient mask: expected a threshold above 0 m, found {threshold_m}")
     if range_m.ndim < 2:
         raise ShapeError(f"gradient mask: expected (..., H, W), found {tuple(range_m.shape)}")
-    return tuple(  # type: ignore[return-value]
-        _repeat_last(ranges[..., :-1] - ranges[..., 1:]) if ranges.shape[-1] > 1 else ranges * torch.nan
-        for ranges in (range_m, range_m.transpose(-1, -2))
-    )
+    return _differences(range_m), _differences(range_m.transpose(-1, -2))
 
 
-def _repeat_last(values: Tensor) -> Tensor:
-    return torch.cat([values, values[..., -1:]], dim=-1)
+def _differences(values: Tensor) -> Tensor:
+    """Each value minus the next along the last axis, the last one repeated; NaN if there is only one."""
+    if values.shape[-1] == 1:
+        return values * torch.nan
+    found = values[..., :-1] - values[..., 1:]
+    return torch.cat([found, found[..., -1:]], dim=-1)
 
 
 def _on_hits(along_x: Tensor, along_y: Tensor, range_m: Tensor) -> tuple[Tensor, Tensor]:

@@ -206,6 +206,8 @@ class ReferenceQuirks:
     """Box around all points instead of all but the outermost 0.1 %."""
     half_precision_truth: bool = False
     """Round true ranges to float16 in scaled units."""
+    recorded_elevations: bool = False
+    """Cast panos' rays as recorded, although those of sweeps are turned up to where they truly point."""
     identical_tables: bool = False
     """Initialise all grids of one shape with the same numbers (one seed)."""
 

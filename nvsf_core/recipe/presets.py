@@ -55,6 +55,7 @@ _PAPER_AUTHORS = replace(
         bound=2.0,
         minmax_box=True,
         half_precision_truth=True,
+        recorded_elevations=True,
         identical_tables=True,
     ),
 )

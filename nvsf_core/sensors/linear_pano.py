@@ -76,9 +76,14 @@ class LinearPano:
             column %= self.width
         return row, column, kept
 
-    def directions(self) -> np.ndarray:
-        """Unit directions (H, W, 3) float64 of the cells' centres, in the sensor's frame."""
+    def directions(self, turn_up_rad: float = 0.0) -> np.ndarray:
+        """Unit directions (H, W, 3) float64 of the cells' centres, in the sensor's frame.
+
+        They are turned up by `turn_up_rad`, as `sweep_rays` turns a sensor's rays: recorded elevations may
+        be too low by an angle.
+        """
         elevation = np.deg2rad(self.fov_up_deg - np.arange(self.height) / self.height * self.fov_deg)[:, None]
+        elevation = elevation + turn_up_rad
         azimuth = (-(np.arange(self.width) - self.width / 2) / self.width * 2.0 * np.pi)[None, :]
         up = np.broadcast_to(np.sin(elevation), (self.height, self.width))
         return np.stack(

@@ -78,7 +78,7 @@ def _measure(
     grids: dict[str, LinearPano | BeamPano] = {"linear": linear}
     if beam:
         grids["beam"] = beam
-    found: dict[str, Scalar] = {}
+    found: dict[str, Scalar] = {"linear_held_share": _held_share(returns, linear)}
     for name, grid in grids.items():
         values: dict[str, list[float]] = {"chamfer_m2": [], "f_score": []}
         for k in chosen:
@@ -101,6 +101,15 @@ def _measure(
                 detail=f"Chamfer to the raw scan: {linear_m2:.4f} m2 linear, {beam_m2:.4f} m2 on the lasers",
             )
         )
+
+
+def _held_share(returns: dict[str, np.ndarray], linear: LinearPano) -> float:
+    """Share of the returns within the grid's range that lie between its upper and its lower edge.
+
+    The grid is the HDL-64E's: other sensors also look above or below it, and `paper` does not learn that.
+    """
+    _, _, range_m, is_held = linear.cells(returns["points_m"])
+    return float(is_held.sum() / max(1, (range_m < linear.max_range_m).sum()))
 
 
 def _attrs(linear: LinearPano, table: LaserTable) -> dict[str, Any]:

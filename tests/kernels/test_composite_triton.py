@@ -51,6 +51,24 @@ def test_triton_equals_numba(device, counts, features, moving):
         torch.testing.assert_close(value, same, rtol=2e-5, atol=2e-5)
 
 
+def test_gradients_of_features_stored_by_columns_are_those_of_rows(device):
+    """`empty_like` keeps strides, and the kernel writes row by row."""
+    from nvsf_core.kernels import composite_triton
+
+    given = (one.to(device) for one in _surfaces((3, 5, 2), 4, moving=False))
+    logit, range_m, features, facts, first, own, hit_prior = given
+    weights, summary = composite_triton.forward(first, logit, range_m, features, facts, own, hit_prior)[:2]
+    by_columns = features.T.contiguous().T
+    of_rows, of_columns = (
+        composite_triton.adjoint(
+            first, logit, range_m, one, facts, weights, summary, torch.ones_like(weights),
+            torch.ones_like(summary),
+        )[2]
+        for one in (features, by_columns)
+    )  # fmt: skip
+    assert torch.equal(of_rows, of_columns)
+
+
 def test_without_rays_there_is_nothing_to_launch(device):
     found = _values_and_gradients(_surfaces((), 3, moving=False), "triton", device)
     assert [tuple(one.shape) for one in found[:5]] == [(0,), (0, 7), (0,), (0,), (0,)]

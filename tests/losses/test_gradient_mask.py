@@ -52,6 +52,13 @@ def test_a_lone_spike_passes_the_double_mask_but_an_edge_does_not() -> None:
     assert double_gradient_mask(edge, 0.05)[0][0].tolist() == [True, False, False, True, True, True, True]
 
 
+@pytest.mark.parametrize("kind", ["double", "single"])
+@pytest.mark.parametrize("shape", [(1, 8), (8, 1), (1, 1)])
+def test_an_axis_of_one_pixel_has_no_gradient(kind, shape):
+    for mask, length in zip(gradient_mask(torch.ones(shape), kind, 0.05), shape[::-1], strict=True):
+        assert mask.shape == shape and bool(mask.all()) == (length > 1)
+
+
 def test_thresholds_and_shapes_are_checked() -> None:
     for bad in (0.0, -1.0, float("nan")):
         with pytest.raises(RecipeError):

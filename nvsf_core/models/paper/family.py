@@ -111,7 +111,12 @@ def _refine(
     panos, spec, started = frames.panos, recipe.refinement, time.perf_counter()
     assert panos is not None
     model = PaperModel(
-        recipe=recipe, field=trainee.field, bounds=frames.bounds, frame_at=frame_at(recording), unet=None
+        recipe=recipe,
+        field=trainee.field,
+        bounds=frames.bounds,
+        frame_at=frame_at(recording),
+        unet=None,
+        turn_up_rad=panos.turn_up_rad,
     )
     chosen = _evenly(len(panos.frame), spec.panos)
     renders = []
@@ -123,12 +128,13 @@ def _refine(
     unet = RaydropUnet(spec.channels, generator).to(training_device())
     unet.expect(float(is_return.float().mean()))
     state = refinement_state(unet, spec, generator)
+    rendered_s = time.perf_counter() - started
     with session.resumed("refinement", state) as part:
         refine(
             state, spec, torch.stack(renders), is_return, part.save, part.say,
             checkpoint_s=recipe.optimiser.checkpoint_s,
         )  # fmt: skip
-    state.seconds = time.perf_counter() - started
+    state.seconds += rendered_s
     return state
 
 

@@ -94,7 +94,8 @@ def _rays(
     """Rays through the sampled cells of a pano, and their recorded values."""
     height, width = panos.range_m.shape[1:]
     cells = (pixels.rows, pixels.columns)
-    direction = LinearPano(height=height, width=width).directions()[tuple(one.numpy() for one in cells)]
+    directions = LinearPano(height=height, width=width).directions(panos.turn_up_rad)
+    direction = directions[tuple(one.numpy() for one in cells)]
     rotation, position = panos.pose[row][:3, :3], panos.pose[row][:3, 3]
     origin, spec = np.broadcast_to(position, direction.shape), recipe.sampling
     rays = lidar_rays(frames.bounds, origin, direction @ rotation.T, near_m=spec.near_m, far_m=spec.far_m)

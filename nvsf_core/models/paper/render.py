@@ -31,6 +31,8 @@ class PaperModel:
     """Converts seconds since the first frame to the field's frame coordinate."""
     unet: nn.Module | None
     """Corrects the hit probabilities of panos; None if the recipe has none or it is not trained yet."""
+    turn_up_rad: float
+    """Angle by which the panos' rays are turned up, as in training."""
 
     def render_rays(
         self, origin_m: np.ndarray, direction: np.ndarray, hit_prior: np.ndarray, time_s: np.ndarray
@@ -61,7 +63,7 @@ class PaperModel:
 
     def raw_pano(self, pose: np.ndarray, frame: float, column_step: int = 1) -> Tensor:
         """The U-Net's input (3, h, w): hit probability, intensity, range in scaled units."""
-        direction = LinearPano().directions()[:, ::column_step] @ pose[:3, :3].T
+        direction = LinearPano().directions(self.turn_up_rad)[:, ::column_step] @ pose[:3, :3].T
         origin = np.broadcast_to(pose[:3, 3], direction.shape)
         found = self._lidar(origin.reshape(-1, 3), direction.reshape(-1, 3), frame)
         range_m, intensity, hit = (values.reshape(direction.shape[:2]) for values in found)

@@ -103,7 +103,13 @@ def _panos(recipe: PaperRecipe, recording: Recording, bounds: Bounds) -> Panos:
         range_m=torch.from_numpy(recorded.range_m[row]),
         intensity=torch.from_numpy(recorded.intensity[row]),
         clouds=tuple(cloud.astype(np.float32) for cloud in clouds),
+        turn_up_rad=_turn_up_rad(recipe, lidar),
     )
+
+
+def _turn_up_rad(recipe: PaperRecipe, lidar: LidarRecording) -> float:
+    """Angle by which panos' rays are turned up: that of the sensor's sweeps."""
+    return 0.0 if recipe.slips.recorded_elevations else lidar.sweeps.elevation_correction_rad
 
 
 def _training_scans(lidar: LidarRecording) -> np.ndarray:
@@ -139,6 +145,7 @@ def load(
         bounds=bounds,
         frame_at=frame_at(recording),
         unet=unet,
+        turn_up_rad=0.0 if recording.lidar is None else _turn_up_rad(recipe, recording.lidar),
     )
     has_lidar, has_camera = recording.lidar is not None, recipe.sampling.camera and bool(recording.cameras)
     return SceneModel(

@@ -28,6 +28,8 @@ class Panos:
     """(k, h, w) float32; 0 where nothing returned."""
     clouds: tuple[np.ndarray, ...]
     """Points (m, 3) float32 of each scan in scaled units, without ground, for the flow loss."""
+    turn_up_rad: float
+    """Angle by which the panos' rays are turned up, as those of sweeps are."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,6 +16,7 @@ from nvsf_core.models.paper.step import paper_step
 from nvsf_core.models.paper.training_frames import PaperTrainee
 from nvsf_core.recipe import PaperLosses, PaperRecipe, Recipe, ReferenceQuirks, preset
 from nvsf_core.recording.drive import Recording
+from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import plan_run, run_named_stage, run_scene
 from nvsf_core.stages.field import load_model
@@ -224,7 +225,7 @@ def test_each_way_of_encoding_trains(drive, home, encoders):
 def test_the_authors_slips_train(drive, home):
     slips = ReferenceQuirks(
         flow_unit=True, neighbour_times=True, bound=2.0, minmax_box=True, half_precision_truth=True,
-        identical_tables=True,
+        recorded_elevations=True, identical_tables=True,
     )  # fmt: skip
     _, facts = load_tensors(train(drive, home, smoke(name="slips", slips=slips)) / "weights.safetensors")
     assert facts["bound"] == 2.0
@@ -289,3 +290,19 @@ def test_a_stopped_training_ends_with_the_same_bits(drive, home):
     assert any("resumed from the checkpoint at step 40" in line for line in said)
     assert whole.keys() == again.keys()
     assert all(torch.equal(whole[name], again[name]) for name in whole)
+
+
+def test_panos_are_learned_along_the_rays_that_sweeps_are_rendered_along(drive, home):
+    """Both are turned up by the angle by which the sensor's recorded elevations are too low."""
+    recording = read_recording(plan_run(entry(drive), home, recipe=smoke()).store)
+    assert recording.lidar is not None
+    panos, sweeps = training_frames(smoke(), recording).panos, recording.lidar.sweeps
+    assert panos is not None
+    scan = int(np.flatnonzero(sweeps.is_training)[0])
+    part, a = sweeps.returns_of(scan), sweeps.arrays
+    row, column, _, kept = LinearPano().cells(a["points_m"][part])
+    returned_m = a["origin_m"][part] + a["direction"][part] * a["range_m"][part][:, None]
+    seen_m = ((returned_m - panos.pose[0][:3, 3]) @ panos.pose[0][:3, :3])[kept]
+    learned = LinearPano().directions(panos.turn_up_rad)[row[kept], column[kept]]
+    higher_rad = np.arctan2(seen_m[:, 2], np.hypot(*seen_m[:, :2].T)) - np.arcsin(learned[:, 2])
+    assert abs(float(np.mean(higher_rad))) < 0.3 * panos.turn_up_rad
