@@ -68,8 +68,8 @@ def as_markdown() -> str:
     ]  # fmt: skip
     head = ("sensor", "lasers", "elevation, degrees", "azimuth step, degrees", "range, m", "beam, mrad")
     parts.append(
-        "## Known LiDARs\n\nThey rotate as fast as the drive's own. Where each figure comes from stands in "
-        "`nvsf_core/sensors/tables.py`.\n\n" + _table(head, lasers)
+        "## Known LiDARs\n\nThey rotate as fast as the drive's own, and see at most as far. Where each "
+        "figure comes from stands in `nvsf_core/sensors/tables.py`.\n\n" + _table(head, lasers)
     )
     formats = [(f"`{name}`", _FORMATS[name]) for name in EXPORTS]
     parts.append(

@@ -49,7 +49,8 @@ class SensorEntry:
     rate_hz: float | None = None
     """Rotations a second; none = those of the recorded LiDAR."""
     max_range_m: float = 100.0
-    """Beyond this it records nothing."""
+    """Beyond this it records nothing; nor does it beyond the greatest range of the LiDAR that recorded the
+    drive."""
     divergence_mrad: float = 0.0
     """Full angle of a beam, milliradians; 0 = a ray without width. A view uses it with `footprint = true`."""
 

@@ -146,6 +146,8 @@ def fire_sweep(
         rendered = measured_when_stationary(rendered, rays.laser, rays.fraction, lidar, time_s, leave_out=own)
     if plan.is_recorded_sensor:
         rendered = put_back_own_vehicle(rendered, rays, evidence)
+    else:
+        rendered = within_range(rendered, plan.table.max_range_m)
     if is_in_place and not model.as_recorded:
         rendered = add_mirrored(rendered, rays, lidar, model.lidar, time_s, leave_out_s=leave_out_s)
     return rays, rendered
@@ -197,6 +199,18 @@ def highest_rad(table: LaserTable, evidence: SceneEvidence) -> float:
     """Elevation of the highest recorded laser in the sensor's table; infinite where no laser is known."""
     looked = table.elevation_rad[evidence.lasers.astype(np.int64)]
     return float(looked.max()) if len(looked) else np.inf
+
+
+def within_range(rendered: RenderedRays, max_range_m: float) -> RenderedRays:
+    """The rays as a sensor records them that has no return from beyond its greatest range.
+
+    What lies beyond the recording sensor's own range is not in the scene: a longer one changes nothing.
+    """
+    beyond = np.flatnonzero(np.isfinite(rendered.range_m) & (rendered.range_m > max_range_m))
+    if len(beyond) == 0:
+        return rendered
+    nothing = np.zeros(len(beyond), np.float32)
+    return _with(rendered, beyond, RenderedRays(nothing + np.float32(np.inf), nothing, nothing))
 
 
 # Wide: five of them are columns of the rays.

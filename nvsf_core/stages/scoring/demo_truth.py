@@ -171,7 +171,7 @@ class _Rays:
             truth.world, table, lasers, theta_rad, np.broadcast_to(time_s, theta_rad.shape), mount=plan.mount,
             own_vehicle=is_recorded, path_to_world=path_to_world,
         )  # fmt: skip
-        self.returns = self.exact.chance >= _EVEN_CHANCE
+        self.returns = (self.exact.chance >= _EVEN_CHANCE) & (self.exact.range_m <= table.max_range_m)
         movers = [mover.object_id for mover in truth.world.street.movers]
         self.meets_mover = self.returns & np.isin(self.exact.instance, movers)
 

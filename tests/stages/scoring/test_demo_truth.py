@@ -9,10 +9,11 @@ import pytest
 from nvsf_core.demo.lidar import exact_rays, simulate_scan
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.catalogue import ViewEntry, load_catalogue
+from nvsf_core.drives.view_parts import SensorEntry
 from nvsf_core.errors import StoreError
 from nvsf_core.sensors.beam_table import firing_grid, sensor_rays
-from nvsf_core.sensors.tables import HDL_64E, sensor_table
-from nvsf_core.simulation.view_plan import ViewPlan, mount_pose
+from nvsf_core.sensors.tables import HDL_64E
+from nvsf_core.simulation.view_plan import ViewPlan, mount_pose, table_of
 from nvsf_core.stages.runner.run import SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.demo_truth import DemoTruth, measure_demo_view, read_demo_truth
@@ -38,7 +39,7 @@ def _write_exact_view(
 
     With `seen_from_s` the world stands still at `time_s`, and the car is where it was then.
     """
-    table = sensor_table(view.sensor or "HDL-64E")
+    table = table_of(view.sensor, HDL_64E)
     lasers = LASERS if view.sensor is None else np.arange(table.laser_count)
     azimuth, fraction = firing_grid(table, FIRINGS)
     theta = azimuth[lasers]
@@ -52,9 +53,9 @@ def _write_exact_view(
         path_to_world=DemoWorld().lidar_to_world(plan.moments_s[0] + 0.1 * fraction),
     )  # fmt: skip
     origin, direction = sensor_rays(table, theta, lasers[:, None])
-    known = np.isfinite(exact.range_m)
+    known = exact.range_m <= table.max_range_m
     points = origin + direction * np.where(known, exact.range_m + error_m, 0.0)[..., None]
-    returned = exact.chance >= 0.5
+    returned = (exact.chance >= 0.5) & known
     laser = np.broadcast_to(lasers[:, None], theta.shape)[returned]
     grid = {
         "grid_range_m": np.where(known, np.linalg.norm(points, axis=-1), 0.0),
@@ -96,6 +97,7 @@ def _rows(path: Path, view: ViewEntry) -> list[dict]:
         ViewEntry(name="shift_1m", shift_m=(0.0, 1.0, 0.0)),
         ViewEntry(name="vlp16", sensor="VLP-16"),
         ViewEntry(name="turned", yaw_deg=20.0),
+        ViewEntry(name="short", sensor=SensorEntry(name="own", elevation_deg=(2.0, -9.0), max_range_m=15.0)),
     ],
     ids=lambda view: view.name,
 )
