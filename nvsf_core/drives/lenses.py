@@ -1,7 +1,7 @@
 """Cameras with a distortion that the flow has no model of: their images are rectified as they are read.
 
 The flow knows pinholes and MEI fisheyes. A camera with OpenCV's polynomial or fisheye distortion becomes a
-pinhole of the same size all of whose pixels the lens saw.
+pinhole of the same size all of whose pixels the lens saw (`rectification`).
 """
 
 from collections.abc import Mapping
@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from nvsf_core.drives.rectification import DistortedLens, rectification
 from nvsf_core.errors import CalibrationError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole, intrinsics_fault
@@ -50,7 +51,7 @@ def lens_of(raw: Mapping[str, Any], where: str) -> Lens:
         where: File and camera, for messages.
 
     Raises:
-        CalibrationError: A key is missing or unknown, or a value is unphysical.
+        CalibrationError: A key is missing or unknown, a value is unphysical, or the lens saw no such view.
     """
     model = raw.get("model", "pinhole")
     if model not in MODELS:
@@ -72,20 +73,19 @@ def lens_of(raw: Mapping[str, Any], where: str) -> Lens:
     distortion = np.array([_number(given, name, where) if name in given else 0.0 for name in names])
     if model == "pinhole" and not distortion.any():
         return Lens(Pinhole(fx, fy, cx, cy, width, height), None)
-    matrix, size = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), (width, height)
-    if model == "fisheye":
-        seen = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
-            matrix, distortion, size, np.eye(3), balance=0.0
-        )
-        maps = cv2.fisheye.initUndistortRectifyMap(matrix, distortion, np.eye(3), seen, size, cv2.CV_32FC1)
-    else:
-        seen, _ = cv2.getOptimalNewCameraMatrix(matrix, distortion, size, 0.0, size)
-        maps = cv2.initUndistortRectifyMap(matrix, distortion, np.eye(3), seen, size, cv2.CV_32FC1)
+    lens = DistortedLens(
+        np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), distortion, (width, height),
+        is_fisheye=model == "fisheye",
+    )  # fmt: skip
+    try:
+        seen, maps = rectification(lens)
+    except CalibrationError as error:
+        raise CalibrationError(f"{where}: {error}") from error
     fx, fy, cx, cy = (float(seen[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     fault = intrinsics_fault((fx, fy), (cx, cy), (width, height))
     if fault is not None:
         raise CalibrationError(f"{where}: {fault} after its distortion is taken out; check `distortion`")
-    return Lens(Pinhole(fx, fy, cx, cy, width, height), (maps[0], maps[1]))
+    return Lens(Pinhole(fx, fy, cx, cy, width, height), maps)
 
 
 def _number(raw: Mapping[str, Any], key: str, where: str) -> float:
