@@ -3,7 +3,6 @@
 The view looks along the fisheye's own optical axis, so both have the same pose.
 """
 
-import math
 from dataclasses import dataclass
 
 import cv2
@@ -13,28 +12,6 @@ from nvsf_core.cameras.masks import inside_source
 from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
-
-_LARGEST_VIEW_PX = 1000
-"""A 90 degree view of KITTI-360's fisheye is 840 pixels wide at the lens's central resolution."""
-
-
-def perspective_view(fisheye: MeiFisheye, fov_deg: float = 90.0, size_px: int | None = None) -> Pinhole:
-    """The square perspective camera that a fisheye is undistorted to.
-
-    Args:
-        fisheye: The recorded camera.
-        fov_deg: Horizontal (and vertical) field of view, in (0, 170].
-        size_px: Side of the view; None = the fisheye's height, at most 1000.
-
-    Raises:
-        ValueError: The field of view is not one that a perspective image can show.
-    """
-    if not 0.0 < fov_deg <= 170.0:
-        raise ValueError(f"expected a field of view in (0, 170] degrees, found {fov_deg}")
-    size = min(fisheye.height, _LARGEST_VIEW_PX) if size_px is None else size_px
-    focal = 0.5 * size / math.tan(math.radians(0.5 * fov_deg))
-    centre = 0.5 * (size - 1)
-    return Pinhole(fx=focal, fy=focal, cx=centre, cy=centre, width=size, height=size)
 
 
 @dataclass(frozen=True, slots=True)

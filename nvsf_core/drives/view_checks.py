@@ -12,6 +12,9 @@ from nvsf_core.drives.kitti360.frames import FrameTimes
 from nvsf_core.drives.view_entry import NO_SENSOR
 from nvsf_core.drives.view_parts import FARTHEST_SHIFT_M
 from nvsf_core.errors import DataError, NvsfError
+from nvsf_core.geometry.camera_fan import require_coverage
+from nvsf_core.geometry.fisheye import perspective_view
+from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.sensors.tables import SENSOR_TABLES
 
 _SLACK_S = 1e-6
@@ -153,6 +156,7 @@ def require_views(scene: SceneEntry) -> None:
                 f"{where}: expected cameras that the drive has, found {absent[0]}: there are no "
                 f"images of it below {scene.root}"
             )
+        _require_covered(view, drive, where)
 
 
 def _require_sweeps_within(
@@ -190,6 +194,24 @@ def _require_beam_width(view: ViewEntry, drive: AbstractDrive, where: str) -> No
             f"{where}: footprint: the beam width of {name} is not known; give it as "
             "`divergence_mrad` of a [[sensor]] of your own, or leave `footprint` out"
         )
+
+
+def _require_covered(view: ViewEntry, drive: AbstractDrive, where: str) -> None:
+    """Refuse cameras of other intrinsics that see more than images of the recorded camera `like` cover."""
+    if not view.camera:
+        return
+    try:
+        recorded = drive.facts().calibration.cameras
+    except (NvsfError, OSError):
+        return  # the stage `frames` says what is wrong with the drive
+    for camera in view.camera:
+        if camera.like not in recorded:
+            continue  # it has images, but no calibration: the stage `frames` says so
+        lens = recorded[camera.like].intrinsics
+        try:
+            require_coverage(camera.model(), lens if isinstance(lens, Pinhole) else perspective_view(lens))
+        except DataError as error:
+            raise DataError(f"{where}, camera {camera.name}, like {camera.like}: {error}") from error
 
 
 def _require_near(view: ViewEntry, drive: AbstractDrive, where: str) -> None:

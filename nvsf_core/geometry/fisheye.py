@@ -9,18 +9,21 @@ With the unit vector (x, y, z) to a point, camera frame x right, y down, z forwa
 C. Mei, P. Rives, "Single View Point Omnidirectional Camera Calibration from Planar Grids", ICRA 2007.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from nvsf_core.errors import CalibrationError, ShapeError
-from nvsf_core.geometry.pinhole import contains, intrinsics_fault
+from nvsf_core.geometry.pinhole import Pinhole, contains, intrinsics_fault
 
 _MOST_DISTORTION = 100.0
 """Largest distortion coefficient; those of real lenses are below 10."""
 _NEWTON_STEPS = 12
 _NEWTON_RESIDUAL = 1e-9
 """Largest error of a solution, in units of the normalised plane."""
+_LARGEST_VIEW_PX = 1000
+"""A 90 degree view of KITTI-360's fisheye is 840 pixels wide at the lens's central resolution."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,3 +156,22 @@ class MeiFisheye:
         step_x = (j_yy * residual[..., 0] - j_xy * residual[..., 1]) / determinant
         step_y = (j_xx * residual[..., 1] - j_xy * residual[..., 0]) / determinant
         return np.stack([step_x, step_y], axis=-1)
+
+
+def perspective_view(fisheye: MeiFisheye, fov_deg: float = 90.0, size_px: int | None = None) -> Pinhole:
+    """The square perspective camera that a fisheye is undistorted to.
+
+    Args:
+        fisheye: The recorded camera.
+        fov_deg: Horizontal (and vertical) field of view, in (0, 170].
+        size_px: Side of the view; None = the fisheye's height, at most 1000.
+
+    Raises:
+        ValueError: The field of view is not one that a perspective image can show.
+    """
+    if not 0.0 < fov_deg <= 170.0:
+        raise ValueError(f"expected a field of view in (0, 170] degrees, found {fov_deg}")
+    size = min(fisheye.height, _LARGEST_VIEW_PX) if size_px is None else size_px
+    focal = 0.5 * size / math.tan(math.radians(0.5 * fov_deg))
+    centre = 0.5 * (size - 1)
+    return Pinhole(fx=focal, fy=focal, cx=centre, cy=centre, width=size, height=size)

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.cameras.masks import lens_circle
-from nvsf_core.cameras.undistort import Undistorter, make_undistorter, perspective_view
+from nvsf_core.cameras.undistort import Undistorter, make_undistorter
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.errors import CalibrationError
-from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.fisheye import MeiFisheye, perspective_view
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.reporting.previews import image_preview
 from nvsf_core.stages.inputs import pinhole_of

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from nvsf_core.cameras.masks import lens_circle
-from nvsf_core.cameras.undistort import make_undistorter, perspective_view
+from nvsf_core.cameras.undistort import make_undistorter
 from nvsf_core.errors import ShapeError
-from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.fisheye import MeiFisheye, perspective_view
 
 REAL = MeiFisheye(
     2.2134047507854890, 1.6798235660113681e-02, 1.6548773243373522, 4.2223943394772046e-04,

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from nvsf_core.errors import DataError
+from nvsf_core.geometry.camera_fan import camera_rays, covering_rotations, require_coverage
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.rendering.rendered import RenderedImage, RenderedRays
@@ -47,6 +49,24 @@ def test_another_camera_shows_along_its_own_rays_what_the_recorded_one_would(mod
     apart = np.abs(shown.rgb[inside].astype(int) - _colour(rays[inside]))
     assert apart.max() <= 2
     assert (shown.range_m[inside] == 7.0).all() and not np.isfinite(shown.range_m[~inside]).any()
+
+
+def test_a_camera_of_which_images_leave_pixels_out_is_refused() -> None:
+    aside = Pinhole(fx=50.0, fy=50.0, cx=-20.0, cy=39.5, width=100, height=80)
+    wide = Pinhole(fx=21.4, fy=21.4, cx=79.5, cy=79.5, width=160, height=160)
+    for refuses in (OtherCamera.of, require_coverage):
+        with pytest.raises(DataError, match=r"found [23]\.\d\d% of its pixels outside"):
+            refuses(wide, aside)
+
+
+def test_some_pixels_tell_before_anything_is_trained_how_many_images_all_of_them_need() -> None:
+    model = Pinhole(fx=300.0, fy=300.0, cx=599.5, cy=299.5, width=1200, height=600)
+    rays, seen = camera_rays(model, step_px=4)
+    assert rays.shape == (151, 301, 3) and seen.all()
+    every = camera_rays(model)[0]
+    assert np.array_equal(rays[-1, -1], every[-1, -1]) and np.array_equal(rays[1, 2], every[4, 8])
+    found = covering_rotations(rays.reshape(-1, 3), RECORDED)
+    assert len(found) == len(OtherCamera.of(model, RECORDED).rotations)
 
 
 def test_a_beam_at_an_edge_gives_the_range_of_its_stronger_side_and_a_thin_ray_its_own() -> None:

@@ -12,6 +12,7 @@ from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.view_checks import require_views
+from nvsf_core.drives.view_parts import CameraEntry
 from nvsf_core.errors import DataError
 from nvsf_core.recipe import FieldSpec, PaperRecipe, TrainingSpec, preset
 from nvsf_core.stages import STAGE_NAMES, Outcome, plan_run, run_named_stage, run_scene
@@ -268,3 +269,22 @@ def test_beams_of_a_recorder_of_unknown_width_are_refused_before_anything_is_tra
         require_views(replace(scene_of(drive), views=views, lidar="HDL-32E"))
     with pytest.raises(DataError, match=r"the beam width of a sensor that is found is not known"):
         require_views(replace(scene_of(drive), views=views, lidar="found"))
+
+
+def test_a_camera_that_no_images_cover_is_refused_before_anything_is_trained(
+    drive: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(drive, tmp_path / "drive")
+    calibration = tmp_path / "drive" / "calibration" / "perspective.txt"
+    words = next(
+        line.split() for line in calibration.read_text().splitlines() if line.startswith("P_rect_00")
+    )
+    longer = [str(4.0 * float(word)) if k in (1, 6) else word for k, word in enumerate(words)]
+    calibration.write_text(calibration.read_text().replace(" ".join(words), " ".join(longer)))
+    values = {"xi": 1.0, "k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0, "gamma1": 60.0, "gamma2": 60.0}
+    fisheye = tuple((values | {"u0": 69.5, "v0": 69.5}).items())
+    own = CameraEntry(name="image_11", like="image_00", width=140, height=140, mei=fisheye)
+    views = (ViewEntry(name="own", camera=(own,)),)
+    require_views(replace(scene_of(drive), views=views))
+    with pytest.raises(DataError, match=r"view own, camera image_11, like image_00: .* 40 images of the rec"):
+        require_views(replace(scene_of(tmp_path / "drive"), views=views))

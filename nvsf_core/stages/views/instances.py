@@ -8,10 +8,10 @@ import numpy as np
 
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.boxes import box_corners, inside_any
+from nvsf_core.geometry.camera_fan import camera_rays
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
-from nvsf_core.simulation.other_camera import camera_rays
 from nvsf_core.stages.exports.records import BoxRecord
 from nvsf_core.stages.views.files import cameras_of
 from nvsf_core.stores.scene_store import SceneStore

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nvsf_core.geometry.camera_fan import camera_rays
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import pose_of_angles
-from nvsf_core.simulation.other_camera import camera_rays
 from nvsf_core.stages.exports.records import BoxRecord
 from nvsf_core.stages.views.instances import boxes_of, depth_m, instance_arrays, object_ids
 from nvsf_core.stores.scene_store import SceneStore
