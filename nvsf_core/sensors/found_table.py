@@ -78,13 +78,20 @@ def find_table(scans: Scans) -> FoundTable:
         DataError: There are no lasers to be separated; the message says what was tried.
     """
     groups, words = _told_apart(scans)
+    or_ring = "" if _has_rings(scans) else ", or give each point its `ring`"
+    advice = f"name the sensor (`lidar` of the scene){or_ring}"
+    if not groups:
+        raise DataError(
+            f"lasers: {words}: expected {_FEWEST_RETURNS} returns of a laser beyond {_NEAREST_M:g} m in "
+            f"{len(scans)} scans, found none with as many; {advice}"
+        )
     lines = _lines(groups)
     good = [k for k, one in enumerate(lines) if one.spread_rad <= _SPREAD_RAD]
     if not good or 2 * len(good) < len(groups):
         raise DataError(
             f"lasers: {words}, and {len(groups) - len(good)} of {len(groups)} look into more than one "
             "direction: is this one scan of a rotating LiDAR, in its own frame and not corrected for motion? "
-            "Name the sensor (`lidar` of the scene), or give each point its `ring`"
+            f"If so, {advice}"
         )
     order = sorted(good, key=lambda k: -lines[k].elevation_rad)
     left_out = len(groups) - len(order)
@@ -93,8 +100,7 @@ def find_table(scans: Scans) -> FoundTable:
     if fitting < _LEAST_FITTING:
         raise DataError(
             f"lasers: {words}, found {len(groups)}, but {fitting:.0%} of the far returns lie on one of them, "
-            f"expected {_LEAST_FITTING:.0%}; name the sensor (`lidar` of the scene), or give each point its "
-            "`ring`"
+            f"expected {_LEAST_FITTING:.0%}; {advice}"
         )
     steps, peak, arms_m, phases = _lattice(groups)
     firings = _firings(groups, len(scans))
@@ -142,10 +148,18 @@ def _fitting(scans: Scans, lines: Sequence[_Line]) -> float:
     return float((off <= _SPREAD_RAD).mean()) if len(off) else 1.0
 
 
+def _has_rings(scans: Scans) -> bool:
+    return all(ring is not None for _, ring in scans)
+
+
 def _told_apart(scans: Scans) -> tuple[list[np.ndarray], str]:
     """What `_grouped` gives, and how lasers were separated."""
-    if all(ring is not None for _, ring in scans):
-        return _grouped(scans, [np.asarray(ring) for _, ring in scans]), "separated by their `ring`"
+    if _has_rings(scans):
+        rings = [np.asarray(ring) for _, ring in scans]
+        groups = _grouped(scans, rings)
+        sparse = len(np.unique(np.concatenate(rings))) - len(groups)
+        said = f", {sparse} with fewer than {_FEWEST_RETURNS} returns each" if sparse else ""
+        return groups, f"separated by their `ring`{said}"
     turns = [_turns(points_m) for points_m, _ in scans]
     counts = {int(turn.max(initial=-1)) + 1 for turn in turns}
     if len(counts) == 1 and 2 <= max(counts) <= _MOST_LASERS:

@@ -73,6 +73,27 @@ def test_points_without_order_and_ring_are_refused_with_what_to_do(scans):
         find_table([(shuffled, None)])
 
 
+@pytest.mark.parametrize(
+    ("kept", "reason"),
+    [
+        (
+            slice(None, None, 65),
+            r"their `ring`, \d+ with fewer than 30 returns each, found \d+, but \d\d% of",
+        ),
+        (
+            slice(None, None, 200),
+            r"their `ring`, 32 with fewer than 30 returns each: expected 30 returns of a ",
+        ),
+    ],
+    ids=["some lasers", "all lasers"],
+)
+def test_rings_of_too_few_returns_are_the_reason_and_rings_are_not_asked_for_again(scans, kept, reason):
+    few = [(one.points_m[kept], one.laser[kept]) for one in scans]
+    with pytest.raises(DataError, match=reason) as refused:
+        find_table(few)
+    assert str(refused.value).endswith("name the sensor (`lidar` of the scene)")
+
+
 def test_an_evenly_spaced_sensor_without_lever_arms_is_told_apart_by_elevation():
     rng = np.random.default_rng(0)
     elevation = np.radians(np.arange(15.0, -16.0, -2.0))
