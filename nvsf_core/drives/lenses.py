@@ -14,7 +14,7 @@ import numpy as np
 from nvsf_core.drives.rectification import DistortedLens, rectification
 from nvsf_core.errors import CalibrationError
 from nvsf_core.geometry.fisheye import MeiFisheye
-from nvsf_core.geometry.pinhole import Pinhole, intrinsics_fault
+from nvsf_core.geometry.pinhole import Pinhole, intrinsics_fault, recorded_size_fault
 
 _MEI = ("xi", "k1", "k2", "p1", "p2", "gamma1", "gamma2", "u0", "v0")
 _POLYNOMIAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -57,6 +57,9 @@ def lens_of(raw: Mapping[str, Any], where: str) -> Lens:
     if model not in MODELS:
         raise CalibrationError(f"{where}: model: expected one of {', '.join(MODELS)}, found {model!r:.60}")
     width, height = (_whole(raw, key, where) for key in ("width", "height"))
+    too_small = recorded_size_fault(width, height)
+    if too_small is not None:
+        raise CalibrationError(f"{where}: {too_small}")
     if model == "mei":
         values = {key: _number(raw, key, where) for key in _MEI}
         return Lens(MeiFisheye(**values, width=width, height=height), None)

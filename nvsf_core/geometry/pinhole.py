@@ -108,6 +108,8 @@ FOCAL_WIDTHS = (0.05, 50.0)
 """Focal length over image width: from beyond any fisheye (0.05) to a telescope (50)."""
 MOST_SIDE_PX = 16_384
 """Longest side of an image."""
+LEAST_RECORDED_SIDE_PX = 8
+"""Shortest side of a recorded image: colours and depths are taken between pixels, also of smaller copies."""
 MOST_PIXELS = 64_000_000
 """Most pixels of an image: eight times a car camera's, so that a drive's images fit into memory."""
 _MOST_ASPECT = 4.0
@@ -153,3 +155,13 @@ def intrinsics_fault(
                 f"expected the optical axis near the image, found its {word} at {place:g} of {side:g} pixels"
             )
     return None
+
+
+def recorded_size_fault(width: int, height: int) -> str | None:
+    """What is wrong about the size of a recorded image; None where nothing is."""
+    if min(width, height) >= LEAST_RECORDED_SIDE_PX:
+        return None
+    return (
+        f"expected an image of at least {LEAST_RECORDED_SIDE_PX} x {LEAST_RECORDED_SIDE_PX} pixels, found "
+        f"{width} x {height}; leave the camera out"
+    )

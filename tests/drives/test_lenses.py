@@ -132,6 +132,9 @@ def test_a_camera_without_distortion_is_used_as_it_is():
         ({"width": 10.5}, "width: expected a whole number"),
         ({"distortion": {"k9": 1.0}}, "distortion: expected numbers k1"),
         ({"fx": -5.0}, "front: "),
+        ({"height": 1, "cy": 0.0}, "front: expected an image of at least 8 x 8 pixels, found 160 x 1; leave"),
+        ({"height": 7, "distortion": {"k1": -0.1}}, "front: .* found 160 x 7"),
+        ({"model": "fisheye", "width": 7, "fx": 5.0, "cx": 3.0}, "front: .* found 7 x 120"),
         ({"distortion": {"k1": -60.0}}, "front: distortion: expected one by which a pinhole"),
     ],
 )

@@ -14,7 +14,7 @@ from nvsf_core.drives.kitti360.layout import CAMERAS, PERSPECTIVE_CAMERAS, Drive
 from nvsf_core.drives.kitti360.text import KeyedText, read_mounting, require_folder, rotation
 from nvsf_core.errors import CalibrationError
 from nvsf_core.geometry.fisheye import MeiFisheye
-from nvsf_core.geometry.pinhole import Pinhole, intrinsics_fault
+from nvsf_core.geometry.pinhole import Pinhole, intrinsics_fault, recorded_size_fault
 
 _SKEW_TOLERANCE = 1e-9
 """Largest skew or rotation in the projection of a rectified camera."""
@@ -28,12 +28,22 @@ _POSE_FRAME_TO_Z_UP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraCalibration:
-    """Intrinsics and mounting of one camera."""
+    """Intrinsics and mounting of one camera, of any format of drives.
+
+    Raises:
+        CalibrationError: Its images are too small.
+    """
 
     name: str
     intrinsics: Pinhole | MeiFisheye
     to_pose: np.ndarray
     """(4, 4) float64, camera to pose frame, of the stored image (rectified if perspective)."""
+
+    def __post_init__(self) -> None:
+        """Refuse a size that nothing can be rendered from."""
+        fault = recorded_size_fault(self.intrinsics.width, self.intrinsics.height)
+        if fault is not None:
+            raise CalibrationError(f"camera {self.name}: {fault}")
 
     @property
     def kind(self) -> str:

@@ -3,7 +3,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nvsf_core.drives.kitti360.calibration import read_calibration, read_mei, read_pinhole
+from nvsf_core.drives.kitti360.calibration import (
+    CameraCalibration,
+    read_calibration,
+    read_mei,
+    read_pinhole,
+)
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.text import KeyedText, parse_numbers
 from nvsf_core.errors import CalibrationError
@@ -129,3 +134,13 @@ def test_the_real_lidar_sees_the_real_camera_before_it_and_level() -> None:
     assert list(calibration.cameras) == ["image_00"]
     assert np.allclose(camera_to_lidar[:3, 3], [0.804, 0.299, -0.177], atol=1e-3)
     assert camera_to_lidar[0, 2] > 0.99
+
+
+def test_a_camera_too_small_to_render_from_is_refused_in_any_format(tmp_path: Path) -> None:
+    """64 x 1 pixels were trained on until the field diverged; all formats' readers make this calibration."""
+    small = PERSPECTIVE.replace("48.000000", "1.000000").replace("23.5", "0.5")
+    reason = "camera image_00: expected an image of at least 8 x 8 pixels, found 64 x 1; leave the camera out"
+    with pytest.raises(CalibrationError, match=reason):
+        read_calibration(calibrated(tmp_path, perspective=small), None, has_scans=True)
+    with pytest.raises(CalibrationError, match=r"camera front: .* found 8 x 2"):
+        CameraCalibration(name="front", intrinsics=Pinhole(8.0, 8.0, 3.5, 0.5, 8, 2), to_pose=np.eye(4))
