@@ -132,10 +132,11 @@ def fire_sweep(
         rendered = render_beams(model.lidar, *columns, divergence_mrad=plan.table.divergence_mrad)
     else:
         rendered = render_in_chunks(model.lidar, *columns)
-    if model.above is not None and not plan.is_recorded_sensor:
-        is_above = plan.table.elevation_rad[rays.laser] > highest_rad(sweeps.table, evidence)
+    if model.above is not None:
+        is_above = _elevation_rad(plan, rays) > highest_rad(sweeps.table, evidence)
         missing = np.flatnonzero(is_above & ~np.isfinite(rendered.range_m))
-        rendered = _with(rendered, missing, model.above(*(column[missing] for column in columns)))
+        if len(missing):
+            rendered = _with(rendered, missing, model.above(*(column[missing] for column in columns)))
     rendered = by_lasers(rendered, rays.laser, plan.table, as_recorded=model.as_recorded)
     if model.correct is not None and is_in_place:
         rendered = model.correct(rays, rendered, lookups or ScanLookups(lidar.scan_grids, near))
@@ -193,6 +194,16 @@ def render_along(
     return RenderedRays(
         *(np.where(laser >= 0, getattr(measured, name), getattr(rendered, name)) for name in names)
     )
+
+
+def _elevation_rad(plan: SweepPlan, rays: SweepRays) -> np.ndarray:
+    """Elevation (r,) of rays in the path's frame: of a sensor that is not tilted, its lasers' own."""
+    elevation_rad = plan.table.elevation_rad[rays.laser]
+    if plan.tilt_rad == 0.0:
+        return np.asarray(elevation_rad)
+    assert plan.mount is not None
+    up = rays.recorded_direction @ plan.mount[2, :3]
+    return np.asarray(np.arcsin(np.clip(up, -1.0, 1.0)))
 
 
 def highest_rad(table: LaserTable, evidence: SceneEvidence) -> float:

@@ -63,6 +63,13 @@ class ViewPlan:
         return self.path is None and self.path_time_s is None and self.scene_rate == self.path_rate == 1.0
 
     @property
+    def tilt_rad(self) -> float:
+        """Angle between the sensor's upward axis and the path's: 0 if it is only shifted and turned aside."""
+        if self.mount is None:
+            return 0.0
+        return float(np.arctan2(np.hypot(*self.mount[:2, 2]), self.mount[2, 2]))
+
+    @property
     def moments_s(self) -> np.ndarray:
         """(n,) float64 moments of the path."""
         return self.time_s if self.path_time_s is None else self.path_time_s

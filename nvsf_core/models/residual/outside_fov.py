@@ -19,9 +19,11 @@ _MOST_VIEWS = 24
 
 
 def looks_above(lidar: LidarRecording, plan: SweepPlan) -> bool:
-    """Whether a view's sensor has lasers above all lasers that recorded the drive."""
+    """Whether a view's sensor looks above all lasers that recorded the drive, by its lasers or its tilt."""
     highest = highest_rad(lidar.sweeps.table, lidar.evidence)
-    return not plan.is_recorded_sensor and float(plan.table.elevation_rad.max()) > highest
+    own = lidar.evidence.lasers.astype(np.int64) if plan.is_recorded_sensor else slice(None)
+    lasers_rad = plan.table.elevation_rad[own]
+    return len(lasers_rad) > 0 and float(lasers_rad.max()) + plan.tilt_rad > highest
 
 
 def seen_above(recording: Recording, say: Say) -> RayRenderer | None:

@@ -9,12 +9,14 @@ from nvsf_core.demo.drive import DemoSize
 from nvsf_core.demo.lidar import exact_rays
 from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.catalogue import ViewEntry
+from nvsf_core.drives.view_parts import SensorEntry
 from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.models.residual.outside_fov import looks_above, seen_above
 from nvsf_core.recording.drive import Recording
+from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.beam_table import firing_grid
 from nvsf_core.simulation.raydrop import rays_return
-from nvsf_core.simulation.sweep_simulation import SimulatedSweep, simulate_sweep
+from nvsf_core.simulation.sweep_simulation import SimulatedSweep, highest_rad, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
 from nvsf_core.stages import SceneRun
 from nvsf_core.stages.inputs import read_recording
@@ -104,6 +106,37 @@ def test_images_tell_more_of_the_demo_s_truth_than_silence_does(
     # This sensor's lasers have no levers to speak of: the range from its centre is that along the ray.
     error_m = np.abs(both[1].grid["grid_range_m"] - exact.range_m)[true]
     assert np.median(error_m) < 1.0
+
+
+TILTED_UP = (
+    ViewEntry(
+        name="up", pitch_deg=-15.0, frames=(AT,),
+        sensor=SensorEntry(name="down", elevation_deg=(-2.0, -6.0, -10.0)),
+    ),
+    ViewEntry(name="recorder_up", pitch_deg=-15.0, frames=(AT,)),
+)  # fmt: skip
+"""Sensors none of whose lasers lies above the recorded ones, but which look there ahead."""
+
+
+@pytest.mark.parametrize("entry", TILTED_UP, ids=lambda entry: entry.name)
+def test_a_sensor_that_is_tilted_up_asks_images_where_it_looks_above(
+    drive: Recording, entry: ViewEntry
+) -> None:
+    lidar, plan = drive.lidar, _plan(drive, entry)
+    assert lidar is not None and looks_above(lidar, plan)
+    assert not looks_above(lidar, _plan(drive, replace(entry, pitch_deg=0.0, yaw_deg=30.0)))
+    asked_rad: list[np.ndarray] = []
+
+    def answer(origin_m, direction, hit_prior, time_s) -> RenderedRays:
+        asked_rad.append(np.arcsin(direction[:, 2]))
+        return RenderedRays(*(np.full(len(hit_prior), one, np.float32) for one in (9.0, 0.9, 0.5)))
+
+    swept = _sweep(drive, answer, entry)
+    highest = highest_rad(lidar.sweeps.table, lidar.evidence)
+    assert len(asked_rad) == 1 and len(asked_rad[0]) > 100
+    # The demo's road is level, and its car hardly pitches; recorded rays are turned up by 0.2 degrees.
+    assert asked_rad[0].min() > highest - 0.01 and asked_rad[0].max() < highest + np.radians(20.0)
+    assert (np.abs(swept.grid["grid_range_m"] - 9.0) < 0.5).sum() > 100
 
 
 def test_the_recording_sensor_asks_no_image(drive: Recording) -> None:
