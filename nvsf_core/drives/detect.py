@@ -6,13 +6,13 @@ from pathlib import Path
 
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.entries import KITTI_ODOMETRY, SceneEntry
+from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import DataError
 
 _WHOLE = (0, 1)
 """Frames of the entry by which a drive is asked for all that it has."""
 _TIMES_OF_POINTS = "velodyne_time"
-"""Folder beside the scans of a sequence that this project wrote: unlike the benchmark's, they are not
-compensated for motion."""
+"""Folder beside the scans of a KITTI odometry's sequence that this project wrote."""
 _NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9_-]+")
 
 
@@ -49,7 +49,7 @@ def whole_drive(
 ) -> SceneEntry:  # fmt: skip
     """An entry of all frames that a recording has, or of some.
 
-    A sequence of KITTI's odometry that this project wrote is one whose scans are to be compensated.
+    What this project wrote says by its times whether its scans are to be compensated; see `_compensate`.
 
     Args:
         source: Its root, as in a catalogue.
@@ -65,11 +65,10 @@ def whole_drive(
     """
     name = _NOT_IN_NAMES.sub("_", sequence or source.stem).strip("_") or "drive"
     chosen = sequence or _only_sequence(source, kind) or name
-    is_ours = kind == KITTI_ODOMETRY and (source / "sequences" / chosen / _TIMES_OF_POINTS).is_dir()
     entry = SceneEntry(
         name=name[:60], root=source.absolute(), sequence=chosen, first_frame=_WHOLE[0], last_frame=_WHOLE[1],
         test_frames=(), kind=kind, lidar=lidar, lidar_topic=lidar_topic,
-        compensate=True if is_ours else None,
+        compensate=_compensate(source, kind, chosen),
     )  # fmt: skip
     try:
         recorded = drive_of(entry).section().recorded
@@ -81,6 +80,23 @@ def whole_drive(
     if not recorded[0] <= begin <= end <= recorded[1]:
         raise DataError(f"expected frames within {recorded[0]} to {recorded[1]}, found {begin} to {end}")
     return replace(entry, first_frame=begin, last_frame=end)
+
+
+def _compensate(source: Path, kind: str, sequence: str) -> bool | None:
+    """Whether scans are to be compensated, where a tree says other than its kind; None = it does not.
+
+    The times of points beside our scans of `kitti` say that a moving sensor recorded them, unless all are 0.
+    Scans of `kitti360` that end when they begin are of one instant.
+    """
+    if kind == KITTI_ODOMETRY:
+        scans = sorted((source / "sequences" / sequence / _TIMES_OF_POINTS).glob("*.bin"))
+        return True if any(any(path.read_bytes()) for path in scans[:1]) else None
+    if kind == "kitti360":
+        layout = DriveLayout(source, sequence)
+        begin, end = (layout.timestamps_path(which) for which in ("start", "end"))
+        is_of_one_instant = begin.is_file() and end.is_file() and begin.read_bytes() == end.read_bytes()
+        return False if is_of_one_instant else None
+    return None
 
 
 def _only_sequence(source: Path, kind: str) -> str:

@@ -15,6 +15,7 @@ from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.validation import read_drive
 from nvsf_core.errors import CalibrationError, DataError
 from nvsf_core.stages.exports.kitti import write_kitti
+from nvsf_core.stages.exports.kitti360 import write_kitti360
 from nvsf_core.stages.exports.ros import write_mcap
 from nvsf_core.stages.imports.convert import import_drive
 from nvsf_core.stages.imports.odometry import times_in_sweeps
@@ -111,6 +112,18 @@ def test_our_own_sequence_of_kitti_is_imported_as_one_to_compensate(root, tmp_pa
     assert kept.is_to_compensate
     shutil.rmtree(tmp_path / "kitti/sequences/00/velodyne_time")
     assert not whole_drive(tmp_path / "kitti", "kitti_odometry").is_to_compensate, "the benchmark's own"
+
+
+@pytest.mark.parametrize(("write", "kind"), [(write_kitti, "kitti_odometry"), (write_kitti360, "kitti360")])
+def test_our_own_tree_of_a_scene_of_instants_is_imported_as_one(root, tmp_path, write, kind):
+    moving = data_set(tiny_scene(root / "demo"))
+    assert moving.scan is not None
+    at_once = replace(moving.scan(0), offset_s=np.zeros_like(moving.scan(0).offset_s))
+    write(tmp_path, replace(moving, sweep_period_s=0.0, scan=lambda index: at_once))
+    name = kind.removesuffix("_odometry")
+    assert not whole_drive(tmp_path / name, kind).is_to_compensate
+    write(tmp_path / "moving", moving)
+    assert whole_drive(tmp_path / "moving" / name, kind).is_to_compensate
 
 
 def test_a_sequence_of_kittis_odometry_without_poses_says_how_to_find_them(root):
