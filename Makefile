@@ -52,8 +52,9 @@ $(DEV): $(STAMP)
 	@$(PIP) -e '.[dev]'
 	@touch $@
 
-# Initialised once and by one process: two that meet an empty DAGSTER_HOME race for its tables.
-$(DAGSTER_HOME)/dagster.yaml: pipelines/dagster.yaml | $(STAMP)
+# Initialised once and by one process: two that meet an empty DAGSTER_HOME race for its tables. Never again: from then
+# on the file is the user's own, and a newer template must not replace a configuration of Postgres.
+$(DAGSTER_HOME)/dagster.yaml: | pipelines/dagster.yaml $(STAMP)
 	@mkdir -p $(DAGSTER_HOME)
 	@cp pipelines/dagster.yaml $@
 	@$(BIN)/dagster instance info > /dev/null

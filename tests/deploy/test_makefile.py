@@ -1,4 +1,4 @@
-"""Make splits lists at blanks: where a path has one, nothing is done, and the message says what to do."""
+"""The Makefile: paths with blanks are refused in words, and an instance's configuration is the user's own."""
 
 import os
 import shutil
@@ -35,3 +35,18 @@ def test_a_home_with_blanks_is_refused(checkout: Path, name: str) -> None:
     assert _make(plain, "help").returncode == 0
     done = _make(plain, "help", f"{name}=/somewhere/my home")
     assert done.returncode == 2 and "expected NVSF_HOME and DAGSTER_HOME without blanks" in done.stderr
+
+
+def test_a_newer_template_never_replaces_the_users_instance(checkout: Path, repo: Path) -> None:
+    plain = checkout.rename(checkout.with_name("checkout"))
+    for folder in ("pipelines", ".venv", "instance"):
+        (plain / folder).mkdir()
+    shutil.copy(repo / "pyproject.toml", plain)
+    (plain / ".venv/.installed").touch()
+    own, template = plain / "instance/dagster.yaml", plain / "pipelines/dagster.yaml"
+    shutil.copy(repo / "pipelines/dagster.yaml", template)
+    assert f"cp pipelines/dagster.yaml {own}" in _make(plain, str(own), f"DAGSTER_HOME={own.parent}").stdout
+    own.write_text("storage:\n  postgres:\n")
+    os.utime(own, (1e9, 1e9))  # older than the template, as after a `git pull`
+    done = _make(plain, str(own), f"DAGSTER_HOME={own.parent}")
+    assert done.returncode == 0 and "cp " not in done.stdout, done.stdout
