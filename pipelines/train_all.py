@@ -31,6 +31,7 @@ from nvsf_core.stages.runner.failures import remember_failure
 from nvsf_core.stages.runner.run import write_demo_where_absent
 from nvsf_core.stores.scene_store import SceneStore
 from pipelines.failures import CALLED_TAG, call_command
+from pipelines.passed_values import PassedValues, remove_old_values
 from pipelines.reaper import host_tags
 from pipelines.resources import RESOURCES
 from pipelines.terminal import TERSE_LOGGING, terse_logger
@@ -66,6 +67,7 @@ def choose_scenes(context: dg.OpExecutionContext, workspace: Workspace, config: 
         workspace.require_possible()
     except NvsfError as error:
         raise dg.Failure(description=str(error), allow_retries=False) from error
+    remove_old_values()
     asked = config.scenes or os.environ.get("SCENES", "").split()
     names = list(dict.fromkeys(asked)) or [entry.name for entry in catalogue()]
     absent: list[str] = []
@@ -283,6 +285,6 @@ def make_train_all_scenes(
         fail_if_any_failed(report_all(states=scenes.collect(), absent=absent))
 
     return all_scenes.to_job(
-        resource_defs=RESOURCES, logger_defs={"terse": terse_logger}, config=TERSE_LOGGING,
-        executor_def=executor, tags=host_tags(),
+        resource_defs=RESOURCES | {"io_manager": PassedValues()}, logger_defs={"terse": terse_logger},
+        config=TERSE_LOGGING, executor_def=executor, tags=host_tags(),
     )  # fmt: skip

@@ -1,6 +1,7 @@
 """One scene's failure is its own: on a tiny flow of two stages."""
 
 import json
+import os
 import sys
 
 import dagster as dg
@@ -14,6 +15,7 @@ from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput
 from nvsf_core.stores.tables import write_rows
 from pipelines.failures import COMMAND_VARIABLE
+from pipelines.passed_values import RUNS
 from pipelines.train_all import make_train_all_scenes
 
 CATALOGUE = """
@@ -165,6 +167,20 @@ def test_the_second_run_skips_and_says_so(run_job):
     run_job("good")
     result, said = run_job("good")
     assert result.success and "2 stages, up to date" in said
+
+
+def test_what_steps_pass_on_lies_in_the_shared_home_as_json_and_goes_after_a_month(run_job, tmp_path):
+    first, _ = run_job("good")
+    runs = tmp_path / "home" / RUNS
+    passed = {path.relative_to(runs / first.run_id).as_posix(): path for path in runs.rglob("*.json")}
+    state = json.loads(passed["frames_of_scene[good]/result.json"].read_text())["value"]
+    assert state["scene"] == "good" and [one["stage"] for one in state["stages"]] == ["frames"]
+    assert {"choose_scenes/scene/good.json", "choose_scenes/absent.json", "report_all/result.json"} <= set(
+        passed
+    )
+    os.utime(runs / first.run_id, (1e9, 1e9))
+    second, _ = run_job("good")
+    assert [folder.name for folder in runs.iterdir()] == [second.run_id]
 
 
 def test_scenes_may_come_from_the_environment(run_job, monkeypatch):
