@@ -17,6 +17,7 @@ from nvsf_core.stores.removal import KEEP_VARIABLE, number_kept
 from nvsf_core.stores.scene_store import require_home
 from pipelines.doctor_instance import examine_instance
 from pipelines.doctor_locks import examine_locks
+from pipelines.switch import AUTOMATE_VARIABLE, is_on
 
 _FREE_GB = 5.0
 """Free space that is asked for; one scene takes about half of it."""
@@ -37,7 +38,7 @@ def examine(environ: Mapping[str, str]) -> list[Finding]:
     """Examine everything; nothing is written but a temporary folder."""
     return [
         _machine(), _threads(), _kernels(), _gpu(), _home(environ), _locks(environ), _catalogue(environ),
-        _versions(environ), _open3d(), _lpips(), _executors(),
+        _versions(environ), _automation(environ), _open3d(), _lpips(), _executors(),
         Finding("Dagster instance", *examine_instance(environ)),
     ]  # fmt: skip
 
@@ -122,6 +123,17 @@ def _versions(environ: Mapping[str, str]) -> Finding:
     if number is not None:
         words = f"the newest {number} versions of each view, recipe and seed are kept ({KEEP_VARIABLE})"
     return Finding("data sets", True, words)
+
+
+def _automation(environ: Mapping[str, str]) -> Finding:
+    try:
+        follows = is_on(AUTOMATE_VARIABLE, environ)
+    except NvsfError as error:
+        return Finding("automation", False, str(error), is_needed=True)
+    words = f"off until it is switched on in the UI ({AUTOMATE_VARIABLE}=1: from the start)"
+    return Finding(
+        "automation", True, f"{AUTOMATE_VARIABLE} is on: drives train by themselves" if follows else words
+    )
 
 
 def _open3d() -> Finding:

@@ -18,8 +18,9 @@ from nvsf_core.drives.section import why_wait
 from nvsf_core.errors import NvsfError
 from nvsf_core.stores.file_hashes import TimeIsUpError
 from pipelines.reaper import host_tags
+from pipelines.switch import AUTOMATE_VARIABLE, is_on
 
-QUIET_VARIABLE, AUTOMATE_VARIABLE = "NVSF_QUIET_S", "NVSF_AUTOMATE"
+QUIET_VARIABLE = "NVSF_QUIET_S"
 _QUIET_S = 60.0
 """A drive is whole once nothing of it has changed for so long."""
 _MOST_READING_S = 20.0
@@ -137,15 +138,13 @@ def _load(cursor: str | None) -> _Seen:
     )
 
 
-def _is_automated() -> bool:
-    return os.environ.get(AUTOMATE_VARIABLE, "") not in ("", "0", "off", "no")
-
+_FOLLOWS = is_on(AUTOMATE_VARIABLE, os.environ)
 
 scenes_follow = dg.AutomationConditionSensorDefinition(
     "scenes_follow",
     target=dg.AssetSelection.all(),
     minimum_interval_seconds=30,
-    default_status=dg.DefaultSensorStatus.RUNNING if _is_automated() else dg.DefaultSensorStatus.STOPPED,
+    default_status=dg.DefaultSensorStatus.RUNNING if _FOLLOWS else dg.DefaultSensorStatus.STOPPED,
     run_tags={**host_tags(), **KEPT_TAGS, **_RETRIES},
     emit_backfills=False,
     description="Ingests, trains, renders, measures and writes what is new, and what a changed drive or view "

@@ -74,8 +74,8 @@ def test_the_doctor_looks_at_everything_and_nothing_that_is_needed_is_missing_he
     subjects = {finding.subject for finding in examine(os.environ)}
     assert said.exit_code == 0, said.output
     assert {
-        "machine", "threads", "kernels", "GPU", "NVSF_HOME", "locks", "catalogue", "data sets", "open3d",
-        "LPIPS weights", "executors", "Dagster instance",
+        "machine", "threads", "kernels", "GPU", "NVSF_HOME", "locks", "catalogue", "data sets", "automation",
+        "open3d", "LPIPS weights", "executors", "Dagster instance",
     } == subjects  # fmt: skip
     assert all(f" {subject}: " in said.output for subject in subjects)
     assert not (list(os.scandir(os.environ["NVSF_HOME"])) if os.path.isdir(os.environ["NVSF_HOME"]) else [])
