@@ -19,6 +19,14 @@ from nvsf_core.drives.entries import SceneEntry, ViewEntry
 from nvsf_core.errors import NvsfError
 
 _TEMPLATE = "dagster.yaml"
+# What an argument says wins; else the variable that `make` and Dagster read, too; else the default.
+_recipe_option = click.option(
+    "--recipe", default="", envvar="RECIPE", show_envvar=True,
+    help="Preset; default: the catalogue's choice, else lean.",
+)  # fmt: skip
+_seed_option = click.option(
+    "--seed", default=0, envvar="SEED", show_envvar=True, show_default=True, help="Of training."
+)
 
 
 class _Ours(click.Group):
@@ -48,11 +56,14 @@ def demo() -> None:
 
 
 @main.command()
-@click.argument("scenes", nargs=-1)
-@click.option("--recipe", default="", help="Preset; default: the catalogue's choice, else lean.")
-@click.option("--seed", default=0, show_default=True, help="Of training.")
+@click.argument("scenes", nargs=-1, envvar="SCENES")
+@_recipe_option
+@_seed_option
 def train(scenes: Sequence[str], recipe: str, seed: int) -> None:
-    """Train SCENES (default: all that have data) from their drives to their data sets and the report."""
+    """Train SCENES from their drives to their data sets and the report.
+
+    By default those that the variable SCENES names, separated by blanks, else all that have data.
+    """
     sys.exit(_run_job(scenes, recipe, seed))
 
 
@@ -61,8 +72,8 @@ def train(scenes: Sequence[str], recipe: str, seed: int) -> None:
 @click.argument("keys", nargs=-1)
 @click.option("--check", is_flag=True, help="Only say whether the views can be made, and what they are.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the one view that KEYS ask for.")
-@click.option("--recipe", default="", help="Preset; default: the catalogue's choice, else lean.")
-@click.option("--seed", default=0, show_default=True, help="Of training.")
+@_recipe_option
+@_seed_option
 def view(
     scene: str | None, keys: Sequence[str], check: bool, out: Path | None, recipe: str, seed: int
 ) -> None:

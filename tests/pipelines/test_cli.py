@@ -63,6 +63,26 @@ def test_a_view_of_the_command_line_may_ask_for_a_sensor_of_the_catalogue(
     assert refused.exit_code == 1 and "sensor: expected one of HDL-64E" in refused.output
 
 
+def test_what_is_trained_is_said_by_arguments_else_by_the_environment(ask, monkeypatch):
+    def chosen(*words):
+        return main.commands["train"].make_context("train", list(words)).params
+
+    assert chosen() == {"scenes": (), "recipe": "", "seed": 0}
+    for name, value in (("SCENES", "tiny absent"), ("RECIPE", "smoke"), ("SEED", "7")):
+        monkeypatch.setenv(name, value)
+    assert chosen() == {"scenes": ("tiny", "absent"), "recipe": "smoke", "seed": 7}
+    own = chosen("other", "--recipe", "quick", "--seed", "0")
+    assert own == {"scenes": ("other",), "recipe": "quick", "seed": 0}
+    monkeypatch.setenv("SEED", "seven")
+    said = ask("view", "tiny")
+    assert said.exit_code == 2 and "env var: 'SEED'" in said.output, said.output
+    for name, value in (("SCENES", ""), ("RECIPE", "misspelt"), ("SEED", "")):  # empty is unset, as of `make`
+        monkeypatch.setenv(name, value)
+    assert chosen()["scenes"] == () and chosen()["seed"] == 0
+    said = ask("view", "tiny")
+    assert said.exit_code == 1 and "misspelt" in said.output, said.output
+
+
 def test_scenes_are_listed_with_what_is_there(ask):
     said = ask("scenes").output.splitlines()
     assert any(line.startswith("tiny ") and line.endswith("not trained") for line in said)
