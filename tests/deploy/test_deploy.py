@@ -65,6 +65,19 @@ def test_compose_is_accepted_by_its_own_tool() -> None:
     assert _fails([*command, "-f", str(DEPLOY / "compose.yaml"), "config", "-q"]), "a password is asked for"
 
 
+def test_every_container_has_all_variables_that_the_readme_lists_and_the_logs_of_steps(repo: Path) -> None:
+    rows = re.findall(r"^\| (`[A-Z].*?) \|", (repo / "README.md").read_text(), re.MULTILINE)
+    listed = {name for row in rows for name in re.findall(r"`([A-Z][A-Z0-9_]+)`", row)}
+    image = (DEPLOY / "Dockerfile").read_text()
+    set_there = {name for name in listed if f"{name}=/" in image}
+    assert set_there == {"NVSF_HOME", "NVSF_KITTI360_ROOT", "DAGSTER_HOME"} and "NVSF_SCENES" in listed
+    for name in ("worker", "daemon", "webserver"):
+        service = _read(DEPLOY / "compose.yaml")["services"][name]
+        lacks = [one for one in listed - set_there if service["environment"].get(one) != f"${{{one}:-}}"]
+        assert lacks == [], name
+        assert "logs:/opt/dagster/storage" in service["volumes"] and "/opt/dagster/storage " in image
+
+
 def _fails(command: list[str], environment: dict[str, str] | None = None) -> bool:
     done = subprocess.run(command, env=environment, capture_output=True, check=False)
     return done.returncode != 0
