@@ -17,7 +17,7 @@ from pathlib import Path
 
 from nvsf_core.errors import StoreError
 from nvsf_core.names import RESERVED_SCENES, name_fault
-from nvsf_core.stores.writers import TEMPORARY, leftovers, temporary_of
+from nvsf_core.stores.writers import TEMPORARY, leftovers, temporary_of, unforgotten
 
 _RETIRED = ".retired-"
 _REMOVING = ".removing-"
@@ -192,7 +192,8 @@ def publish_folder(target: Path) -> Iterator[Path]:
     temporary = temporary_of(target)
     temporary.mkdir()
     try:
-        yield temporary
+        with unforgotten(temporary):
+            yield temporary
         _flush_tree(temporary)
         _swap_in(temporary, target)
     finally:
@@ -215,7 +216,8 @@ def new_folder(target: Path) -> Iterator[Path]:
     temporary = temporary_of(target / target.name if is_there else target)
     temporary.mkdir()
     try:
-        yield temporary
+        with unforgotten(temporary):
+            yield temporary
         _flush_tree(temporary)
         if not is_there:
             temporary.rename(target)

@@ -4,9 +4,11 @@ Processes of other machines, or of other containers, cannot be seen from here: w
 nothing of it has changed for a day.
 """
 
+import contextlib
 import hashlib
 import os
 import re
+import threading
 import time
 import uuid
 from collections.abc import Iterator
@@ -17,6 +19,8 @@ TEMPORARY = ".publishing-"
 """Beginning of the name of what is not yet published, a folder or a file."""
 FORGOTTEN_S = 86_400.0
 """Age after which what a writer elsewhere left counts as left by a dead one."""
+_TOUCHED_EVERY_S = 1800.0
+"""How often a live writer touches its folder: far more often than it could be forgotten."""
 _MARK = re.compile(r"([0-9a-f]{8})-(\d{1,10})-(\d{1,20})-[0-9a-f]{8}$")
 """Machine, process id, start of the process in ticks, random digits."""
 _EARLIER = re.compile(r"\d{1,10}-[0-9a-f]{8}$")
@@ -32,6 +36,28 @@ def own_mark() -> str:
 def temporary_of(target: Path) -> Path:
     """Where this process writes what is renamed to `target` once it is whole: a new path beside it."""
     return target.with_name(f"{TEMPORARY}{target.name}-{own_mark()}")
+
+
+@contextlib.contextmanager
+def unforgotten(folder: Path) -> Iterator[None]:
+    """Touch a temporary folder from time to time meanwhile.
+
+    A training writes nothing into it for days, and by that alone other machines and containers judge.
+    """
+    ended = threading.Event()
+
+    def touch() -> None:
+        while not ended.wait(_TOUCHED_EVERY_S):
+            with contextlib.suppress(OSError):  # a server that is away for a moment
+                os.utime(folder)
+
+    thread = threading.Thread(target=touch, name=f"touches {folder.name}", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def leftovers(folder: Path) -> Iterator[Path]:

@@ -4,13 +4,16 @@ import os
 import re
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 
 from nvsf_core.stores import writers
-from nvsf_core.stores.scene_store import SceneStore
+from nvsf_core.stores.scene_store import SceneStore, new_folder, publish_folder
 from nvsf_core.stores.writers import is_left, mark_of, own_mark
 
 MARK = "from nvsf_core.stores.writers import own_mark; print(own_mark())"
@@ -42,6 +45,20 @@ def test_a_writer_elsewhere_is_dead_after_a_day_without_a_change(
     tomorrow_s = time.time() + writers.FORGOTTEN_S + 10.0
     monkeypatch.setattr(writers.time, "time", lambda: tomorrow_s)
     assert is_left(elsewhere, tmp_path) and is_left("123-0123abcd", tmp_path)
+
+
+@pytest.mark.parametrize("filled", [publish_folder, new_folder])
+def test_a_living_writer_that_writes_elsewhere_for_days_is_not_forgotten(
+    filled: Callable[[Path], AbstractContextManager[Path]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writers, "_TOUCHED_EVERY_S", 0.01)
+    with filled(tmp_path / "field") as folder:
+        made_ns, deadline_s = folder.stat().st_ctime_ns, time.monotonic() + 60.0
+        while folder.stat().st_ctime_ns == made_ns:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("touches")]
+    assert (tmp_path / "field").is_dir()
 
 
 def test_a_mark_is_read_from_a_name_and_nothing_else_is_one(dead_mark: str) -> None:
