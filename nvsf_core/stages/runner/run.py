@@ -94,11 +94,18 @@ _OWN_FOLDERS = {
 
 
 def _require_apart(scene: SceneEntry, home: Path) -> None:
-    """Refuse a home inside the recorded drive."""
+    """Refuse outputs inside the recorded drive, and a drive among its scene's outputs, which are replaced."""
+    outputs = home / scene.name
     for kind in _OWN_FOLDERS[scene.kind]:
-        if home.is_relative_to((scene.root / kind).resolve()):
+        own = scene.root / kind
+        if home.is_relative_to(own.resolve()):
+            raise StoreError(f"NVSF_HOME={home} lies in the drive's own folder {own}; choose another")
+        if outputs.is_relative_to(own.resolve()) or own.resolve().is_relative_to(outputs):
             raise StoreError(
-                f"NVSF_HOME={home} lies in the drive's own folder {scene.root / kind}; choose another"
+                f"scene {scene.name}: expected its outputs apart from its drive, found that of {outputs} and "
+                f"{own} one lies in the other, where stages would replace what is yours; move the drive, for "
+                f"example to {home / 'drives' / scene.name}, name the scene otherwise, or choose another "
+                "NVSF_HOME"
             )
 
 

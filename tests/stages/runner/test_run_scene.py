@@ -117,6 +117,22 @@ def test_the_recipe_asked_for_goes_before_the_catalogues(entry, tmp_path):
         plan_run(entry, tmp_path, recipe="splendid")
 
 
+def test_a_drive_among_its_own_outputs_is_refused_before_a_stage_replaces_it(entry, tmp_path):
+    home = tmp_path.resolve()
+    for root, kind in (
+        (home / "tiny", "plain"),
+        (home / "tiny/drive", "kitti360"),
+        (home / "tiny", "kitti_raw"),
+    ):
+        with pytest.raises(StoreError, match=f"one lies in the other.*for example to {home}/drives/tiny"):
+            plan_run(replace(entry, root=root, kind=kind), home)
+    with pytest.raises(StoreError, match="one lies in the other"):  # the drive's own folder is the scene's
+        plan_run(replace(entry, root=home, kind="plain", name="scans"), home)
+    # Beside its outputs, or around the whole home, it is not touched.
+    for root, place in ((home / "drives/tiny", home), (home / "other", home), (home, home / ".nvsf")):
+        assert plan_run(replace(entry, root=root, kind="plain"), place).store.root == place / "tiny"
+
+
 def test_an_unknown_scene_is_refused_with_the_known_ones(tiny_catalogue, monkeypatch):
     monkeypatch.setenv("NVSF_SCENES", str(tiny_catalogue))
     with pytest.raises(DataError, match=r"no scene 'tinny'.*tiny"):
