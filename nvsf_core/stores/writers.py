@@ -30,7 +30,7 @@ _DEAD_STATES = ("Z", "X")
 
 def own_mark() -> str:
     """A mark of this process that no other call gives."""
-    return f"{_machine()}-{os.getpid()}-{_process(os.getpid())[1]}-{uuid.uuid4().hex[:8]}"
+    return f"{container_mark()}-{os.getpid()}-{_process(os.getpid())[1]}-{uuid.uuid4().hex[:8]}"
 
 
 def temporary_of(target: Path) -> Path:
@@ -77,7 +77,7 @@ def mark_of(name: str) -> str | None:
 def is_left(mark: str, folder: Path) -> bool:
     """Whether the writer of a folder is dead: gone from here, or elsewhere without a change for a day."""
     found = _MARK.fullmatch(mark)
-    if found is None or found[1] != _machine():
+    if found is None or found[1] != container_mark():
         return time.time() - _newest_s(folder) > FORGOTTEN_S
     state, start = _process(int(found[2]))
     # Another process may have got the number of a dead one; it began at another time.
@@ -100,7 +100,7 @@ def machine_mark() -> str:
 
 
 @cache
-def _machine() -> str:
+def container_mark() -> str:
     """Eight digits for this machine since it was started, and for the container in it."""
     try:
         container = os.readlink("/proc/self/ns/pid")

@@ -1,4 +1,4 @@
-"""A lock that allows one training at a time per device of a machine; the CPU counts as one device."""
+"""A lock that allows one training at a time per device of a machine; the CPU counts as one, a pod's too."""
 
 import contextlib
 import os
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from nvsf_core.stages.runner.locks import file_lock
 from nvsf_core.stages.runner.stage import Progress
-from nvsf_core.stores.writers import machine_mark
+from nvsf_core.stores.writers import container_mark, machine_mark
 
 
 @contextlib.contextmanager
@@ -28,7 +28,10 @@ def device_lock(folder: Path, progress: Progress) -> Iterator[str]:
 
 def lock_file(folder: Path) -> Path:
     """The lock file of this process's device; machines that share the folder have files of their own."""
-    return folder / f"{_device()}-{machine_mark()}.lock"
+    device = _device()
+    # A pod has cores of its own, by its limits: it need not wait for another one on its node.
+    is_pod = device == "cpu" and os.environ.get("NVSF_EXECUTOR") == "k8s"
+    return folder / f"{device}-{container_mark() if is_pod else machine_mark()}.lock"
 
 
 def _device() -> str:

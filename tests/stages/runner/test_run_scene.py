@@ -158,6 +158,26 @@ def test_a_second_training_waits_until_the_first_is_killed(tmp_path):
         holder.wait()
 
 
+IN_A_CONTAINER = """
+import os
+from pathlib import Path
+from nvsf_core.stages.runner.device_lock import lock_file
+for device in ("", "0"):
+    for executor in ("k8s", "multiprocess"):
+        os.environ.update(CUDA_VISIBLE_DEVICES=device, NVSF_EXECUTOR=executor)
+        print(lock_file(Path()).name)
+"""
+
+
+def test_each_pod_trains_on_its_own_cpus_and_containers_of_one_machine_share_theirs(run_process):
+    container = ("unshare", "--user", "--map-root-user", "--pid", "--fork", sys.executable, "-c")
+    if run_process(*container, "").returncode != 0:
+        pytest.skip("no container can be made here")
+    first, second = (run_process(*container, IN_A_CONTAINER).stdout.splitlines() for _ in range(2))
+    assert first[0] != second[0] and first[0].startswith("cpu-"), "two pods"
+    assert first[1:] == second[1:] and [name[:4] for name in first] == ["cpu-", "cpu-", "cuda", "cuda"]
+
+
 def test_only_what_trains_takes_the_device(entry, tmp_path):
     flow = [_make("a", (), []), _make("field", ("a",), [], group="train")]
     run_scene(entry, tmp_path, progress=str, stages=flow[:1])
