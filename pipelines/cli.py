@@ -297,18 +297,19 @@ def verify(names: Sequence[str], mend: bool) -> None:
 
 def _has_damaged_versions(entry: SceneEntry, home: Path, mend: bool) -> bool:
     """Say of each version of a scene's data sets whether it is whole; whether one is not, and stays so."""
-    from nvsf_core.stages.versions import VERSIONS, damage_of_version, make_anew, versions_of
+    from nvsf_core.stages.runner.run import say_on_stderr
+    from nvsf_core.stages.versions import VERSIONS, damage_at_rest, make_anew, versions_of
     from nvsf_core.stores.removal import removal_of, removals
     from nvsf_core.stores.scene_store import SceneStore
 
     store, damaged = SceneStore(home, entry.name), False
     for version in versions_of(store):
-        damage = damage_of_version(version)
+        damage = damage_at_rest(store, version, say_on_stderr)
         words = "whole"
         if damage is not None and removal_of(store, version.location) is not None:
             continue  # removed while it was read; told below
         if damage is not None:
-            is_mended = mend and make_anew(entry, home, version, lambda line: click.echo(line, err=True))
+            is_mended = mend and make_anew(entry, home, version, say_on_stderr)
             words = "made anew" if is_mended else f"DAMAGED ({damage})"
             damaged |= not is_mended
         click.echo(f"{entry.name}, {version.location}: {words}")

@@ -74,6 +74,27 @@ def damage_of_version(version: Version) -> str | None:
     return None if found is None else str(version.folder / found)
 
 
+def damage_at_rest(store: SceneStore, version: Version, progress: Progress) -> str | None:
+    """As `damage_of_version`, of a version that no run is writing at.
+
+    While other errors are written into its manifest and card, or it is made anew, it looks damaged: such runs
+    are waited for, and it is looked at again.
+
+    Args:
+        store: The scene's.
+        version: The version.
+        progress: Told every few seconds of waiting.
+    """
+    if damage_of_version(version) is None:
+        return None
+    with contextlib.ExitStack() as held:
+        # Of runs of the stage `dataset`, by their indices, and of `nvsf view`, by the versions.
+        for path in sorted(versions_lock(store).with_suffix("").rglob("*.lock")):
+            words = f"data sets of {store.scene}, which another run writes"
+            held.enter_context(file_lock(path, progress, words, shared=True))
+        return damage_of_version(version)
+
+
 def make_anew(scene: SceneEntry, home: Path, version: Version, progress: Progress) -> bool:
     """Make a damaged version again, if all that it was made from is still the same.
 

@@ -1,5 +1,6 @@
 """A stated number of versions of each data set is kept; a removed one is noted, and never half there."""
 
+import contextlib
 import json
 import multiprocessing
 import os
@@ -19,9 +20,11 @@ from nvsf_core.stages import STAGES, SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.benchmark_report import _records
 from nvsf_core.stages.exports.manifest import write_manifest
 from nvsf_core.stages.flow import WORK_MODULES
+from nvsf_core.stages.runner.locks import file_lock
 from nvsf_core.stages.runner.stage import Outcome
 from nvsf_core.stages.runner.verify import Verdict, verify_scene
 from nvsf_core.stages.versions import (
+    damage_at_rest,
     damage_of_version,
     make_anew,
     reading_versions,
@@ -109,6 +112,28 @@ def test_the_newest_ones_are_kept_and_the_others_are_noted(
     again: list[str] = []
     assert _make(home, 0, again).skipped, "what was removed is not made anew"
     assert _labels(home) == ["W2", "W3"] and any(f"delete {notes[0].note}" in line for line in again)
+
+
+def test_a_version_that_a_run_is_writing_at_is_no_damage_and_one_at_rest_is(home: Path) -> None:
+    _make(home, 0)
+    store = _plan(home, 0).store
+    version = next(one for one in versions_of(store) if one.view == "test")
+    card, aside = version.folder / "card.json", home / "aside"
+    card.rename(aside)
+    said: list[str] = []
+    with contextlib.ExitStack() as writer:
+        index = versions_lock(store).parent / "dataset/.index/quick/0-0-W0.lock"
+        writer.enter_context(file_lock(index, str, ""))
+
+        def end(line: str) -> None:
+            said.append(line)
+            aside.rename(card)
+            writer.close()
+
+        assert damage_at_rest(store, version, end) is None
+    assert said == ["waiting for data sets of tiny, which another run writes (0 s)"]
+    card.unlink()
+    assert damage_at_rest(store, version, said.append) == str(card) and len(said) == 1
 
 
 def test_a_version_that_asks_for_something_else_is_another_views(

@@ -7,9 +7,10 @@ from enum import Enum
 from nvsf_core.errors import NvsfError
 from nvsf_core.stages.runner.contents import hashes_of
 from nvsf_core.stages.runner.execution import compared
+from nvsf_core.stages.runner.locks import LOCKS, output_locks
 from nvsf_core.stages.runner.record import damage_of, read_record
-from nvsf_core.stages.runner.run import SceneRun, place_of
-from nvsf_core.stages.runner.stage import Stage
+from nvsf_core.stages.runner.run import SceneRun, place_of, say_on_stderr
+from nvsf_core.stages.runner.stage import Progress, Stage
 from nvsf_core.stores.file_hashes import FileHashes
 
 
@@ -32,20 +33,29 @@ class Verified:
     """Why it would be made again, or which file is damaged."""
 
 
-def verify_scene(run: SceneRun, stages: Sequence[Stage]) -> Iterator[Verified]:
+def verify_scene(
+    run: SceneRun, stages: Sequence[Stage], progress: Progress = say_on_stderr
+) -> Iterator[Verified]:
     """Compare every published output of a run with all that it was made from; nothing is made.
 
-    The recorded files are read anew, whatever is remembered of them, and so are the outputs' own.
+    The recorded files are read anew, whatever is remembered of them, and so are the outputs' own. What
+    another run replaces while it is read looks damaged: that run is waited for, and it is looked at again.
 
     Args:
         run: The scene, recipe and seeds.
         stages: All stages of the flow, in order.
+        progress: Told every few seconds of waiting.
     """
     by_name = {stage.name: stage for stage in stages}
     # One reader for all: it reads each file once.
     with hashes_of(run.store, read_anew=True) as hashes:
         for stage in stages:
-            yield _verified(stage, run, by_name, hashes)
+            found = _verified(stage, run, by_name, hashes)
+            if found.verdict is Verdict.DAMAGED:
+                place = stage.location(run.config)
+                with output_locks(run.store.home / LOCKS / run.scene.name, None, [place], progress):
+                    found = _verified(stage, run, by_name, hashes)
+            yield found
 
 
 def _verified(stage: Stage, run: SceneRun, by_name: dict[str, Stage], hashes: FileHashes) -> Verified:

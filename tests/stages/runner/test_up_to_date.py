@@ -1,5 +1,6 @@
 """What is up to date: content decides, not its place or its times; homes of before are taken over."""
 
+import contextlib
 import hashlib
 import json
 import os
@@ -15,6 +16,7 @@ from nvsf_core.drives.entries import ViewEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import DataError
 from nvsf_core.stages import STAGES, plan_run, run_named_stage
+from nvsf_core.stages.runner.locks import LOCKS, file_lock
 from nvsf_core.stages.runner.run import run_scene
 from nvsf_core.stages.runner.stage import Stage, StageOutput
 from nvsf_core.stages.runner.verify import Verdict, verify_scene
@@ -185,6 +187,26 @@ def test_what_would_be_made_again_and_what_is_damaged_is_said(copy: Path, tiny_c
     assert found["frames"].words == "for the scene's entry in the catalogue (test_frames) changed"
     assert found["pano"].verdict is Verdict.DAMAGED and "pano.zarr" in found["pano"].words
     assert found["undistorted"].verdict is Verdict.ABSENT
+
+
+def test_an_output_that_a_run_replaces_while_it_is_verified_is_no_damage(
+    copy: Path, tiny_catalogue: Path
+) -> None:
+    run = plan_run(_entry(tiny_catalogue, copy), copy / "home", recipe="smoke")
+    array = copy / "home/tiny/pano/pano.zarr/zarr.json"
+    content, said = array.read_bytes(), list[str]()
+    array.write_bytes(b"1")
+    with contextlib.ExitStack() as writer:
+        writer.enter_context(file_lock(copy / "home" / LOCKS / "tiny/pano.lock", str, ""))
+
+        def end(line: str) -> None:
+            said.append(line)
+            array.write_bytes(content)
+            writer.close()
+
+        found = {one.stage: one.verdict for one in verify_scene(run, PREPARED, end)}
+    assert set(found.values()) == {Verdict.UP_TO_DATE}
+    assert said == ["waiting for pano, which another run writes (0 s)"]
 
 
 def test_verify_reads_bytes_anew_whatever_is_remembered_of_them(copy: Path, tiny_catalogue: Path) -> None:
