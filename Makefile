@@ -52,12 +52,9 @@ $(DEV): $(STAMP)
 	@$(PIP) -e '.[dev]'
 	@touch $@
 
-# Initialised once and by one process: two that meet an empty DAGSTER_HOME race for its tables. Never again: from then
-# on the file is the user's own, and a newer template must not replace a configuration of Postgres.
-$(DAGSTER_HOME)/dagster.yaml: | pipelines/dagster.yaml $(STAMP)
-	@mkdir -p $(DAGSTER_HOME)
-	@cp pipelines/dagster.yaml $@
-	@$(BIN)/dagster instance info > /dev/null
+# Made once. From then on the file is the user's own: a newer template must not replace a configuration of Postgres.
+$(DAGSTER_HOME)/dagster.yaml: | $(STAMP)
+	@$(BIN)/python -m pipelines.instance
 
 demo: install $(DAGSTER_HOME)/dagster.yaml ## write a short analytic drive and train it: two minutes, 0.2 GB
 	@SCENES=demo RECIPE=short NVSF_EXECUTOR=$${NVSF_EXECUTOR:-in_process} $(TRAIN)

@@ -3,13 +3,11 @@
 import importlib.util
 import os
 import shlex
-import shutil
 import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,6 @@ import click
 from nvsf_core.drives.entries import SceneEntry, ViewEntry
 from nvsf_core.errors import NvsfError
 
-_TEMPLATE = "dagster.yaml"
 # What an argument says wins; else the variable that `make` and Dagster read, too; else the default.
 _recipe_option = click.option(
     "--recipe", default="", envvar="RECIPE", show_envvar=True,
@@ -364,6 +361,7 @@ def _run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
     """Run Dagster's job over the scenes in its own process, as `make train` does; returns its exit code."""
     from nvsf_core.drives.catalogue import home_from_environment
     from nvsf_core.stores.scene_store import require_home
+    from pipelines.instance import DAGSTER, make_instance
 
     home = home_from_environment(os.environ)
     chosen = {"SCENES": " ".join(scenes), "RECIPE": recipe, "SEED": str(seed), "NVSF_HOME": str(home)}
@@ -376,16 +374,5 @@ def _run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
     if list(scenes) == ["demo"]:
         # One process: to start one for each step takes longer than the steps of so short a drive.
         environment.setdefault("NVSF_EXECUTOR", "in_process")
-    dagster = [sys.executable, "-m", "dagster"]
-    if not (place / _TEMPLATE).is_file():
-        place.mkdir(parents=True, exist_ok=True)
-        with resources.as_file(_instance_template()) as template:
-            shutil.copy(template, place / _TEMPLATE)
-        # Initialise it with one process: two with an empty DAGSTER_HOME would race for its tables.
-        subprocess.run([*dagster, "instance", "info"], env=environment, stdout=subprocess.DEVNULL, check=True)
-    return subprocess.run([*dagster, "job", "execute", "-j", "train_all_scenes"], env=environment).returncode
-
-
-def _instance_template() -> resources.abc.Traversable:
-    """Configuration file of a new Dagster instance."""
-    return resources.files("pipelines").joinpath(_TEMPLATE)
+    make_instance(place)
+    return subprocess.run([*DAGSTER, "job", "execute", "-j", "train_all_scenes"], env=environment).returncode

@@ -7,9 +7,9 @@ from pathlib import Path
 import dagster as dg
 
 from nvsf_core.drives.catalogue import home_from_environment
+from pipelines.instance import TEMPLATE
 from pipelines.reaper import stale_runs
 
-TEMPLATE = "dagster.yaml"
 _BEAT_S = 120.0
 """A daemon says at least every half a minute that it lives."""
 _SETTINGS = {
