@@ -1,18 +1,24 @@
 """Logs as JSON lines beside what the terminal shows: one object a message, for whoever collects logs."""
 
+import contextlib
 import json
 import logging
 import os
 import re
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import dagster as dg
 
+from nvsf_core.stages import STAGE_NAMES
+
 FILE_VARIABLE, TERSE = "NVSF_LOG_FILE", "terse"
 """Names the file; the logger that appends to it, where a run's configuration asks for it."""
-_SUBJECT = re.compile(r"\[(?P<scene>[^\]\s]+)\] (?P<stage>\w+)(?P<rest>.*)", re.DOTALL)
-"""How this project's messages about a stage begin."""
+_SCENE = re.compile(r"\[(?P<scene>[^\]\s]+)\] ")
+"""How this project's messages about a scene begin."""
+_STAGE = re.compile(rf"(?:FAILED in )?(?P<stage>{'|'.join(STAGE_NAMES)})(?=[:,/])")
+"""How they go on where they are about a stage, or what it made."""
 _TAKEN = {
     "seconds": re.compile(r"done in ([\d.]+) s"),
     "peak_memory_mb": re.compile(r"([\d.]+) MB of memory"),
@@ -26,9 +32,12 @@ class JsonLines(logging.Handler):
     """Appends each record to a file; several processes may use one, and a full disk stops nothing."""
 
     def __init__(self, path: str) -> None:
-        """Append to the file at `path`."""
+        """Append to the file at `path`, whose folder is made if it is absent."""
         super().__init__()
         self._path = path
+        self._is_told = False
+        with contextlib.suppress(OSError):  # told with the first record that cannot be written
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
 
     def emit(self, record: logging.LogRecord) -> None:
         """Append one line by one write, so that lines of several processes never mix."""
@@ -39,8 +48,10 @@ class JsonLines(logging.Handler):
                 os.write(handle, line.encode())
             finally:
                 os.close(handle)
-        except Exception:  # as of every handler of `logging`
-            self.handleError(record)
+        except Exception:  # as of every handler of `logging`, but told once and not with every record
+            if not self._is_told:
+                self._is_told = True
+                self.handleError(record)
 
 
 def log_as_json(context: dg.AssetExecutionContext) -> None:
@@ -73,10 +84,14 @@ def facts_of(record: logging.LogRecord) -> dict[str, Any]:
         for name, key in (("run_id", "run_id"), ("job", "job_name"), ("step", "step_key"))
         if meta.get(key)
     }
-    subject = _SUBJECT.match(message)
-    if subject is not None:
-        scene = subject["scene"]
-        found |= {"scene": scene, "stage": subject["stage"], "partition": scene, **_taken(subject["rest"])}
+    if (subject := _SCENE.match(message)) is not None:
+        found["scene"] = subject["scene"]
+        if (stage := _STAGE.match(message, subject.end())) is not None:
+            found |= {
+                "stage": stage["stage"],
+                "partition": subject["scene"],
+                **_taken(message[stage.end() :]),
+            }
     if record.exc_info:
         found["error"] = logging.Formatter().formatException(record.exc_info)
     return found
