@@ -375,4 +375,7 @@ def _run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
         # One process: to start one for each step takes longer than the steps of so short a drive.
         environment.setdefault("NVSF_EXECUTOR", "in_process")
     make_instance(place)
-    return subprocess.run([*DAGSTER, "job", "execute", "-j", "train_all_scenes"], env=environment).returncode
+    # Else Dagster would look for the package in the folder it is called in, which may have one of that name.
+    ours = str(Path(__file__).resolve().parents[1])
+    command = [*DAGSTER, "job", "execute", "-d", ours, "-j", "train_all_scenes"]
+    return subprocess.run(command, env=environment).returncode

@@ -45,3 +45,23 @@ def test_an_instance_that_cannot_be_made_is_one_line_and_leaves_no_configuration
     monkeypatch.setenv("DAGSTER_HOME", str(place / "history/below"))
     said = CliRunner().invoke(main, ["train"])
     assert said.exit_code == 1 and said.output.startswith("Error: DAGSTER_HOME="), said.output
+
+
+@pytest.mark.cli
+def test_the_command_trains_in_a_folder_that_has_modules_of_the_same_names(
+    repo: Path, tiny_catalogue: Path, tmp_path: Path
+) -> None:
+    own = tmp_path / "own"
+    (own / "pipelines").mkdir(parents=True)
+    (own / "pipelines/__init__.py").touch()
+    (own / "assets.py").write_text("raise SystemExit('the user's own')")
+    environment = clean_environment() | {
+        "PYTHONPATH": str(repo), "NVSF_SCENES": str(tiny_catalogue), "NVSF_EXECUTOR": "in_process",
+        "SCENES": "absent", "DAGSTER_DISABLE_TELEMETRY": "1",
+    }  # fmt: skip
+    done = subprocess.run(
+        [Path(sys.executable).with_name("nvsf"), "train"],
+        cwd=own, env=environment, capture_output=True, text=True, timeout=200, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1 and "FAILED  absent: drive: no data at" in done.stdout, done.stderr
+    assert (own / ".nvsf/benchmark_report/index.html").is_file()
