@@ -33,6 +33,7 @@ from nvsf_core.drives.kitti360.writer import (
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.stores.writers import leftovers, temporary_of
 
 DEMO_SEQUENCE = "2013_05_28_drive_9900_sync"
 """A number that KITTI-360 does not have."""
@@ -111,8 +112,9 @@ def write_demo(
     size = DemoSize.full() if size is None else size
     if _is_taken(root):
         raise DataError(f"expected no {root}, found one; remove it to write the demo drive again")
-    part = root.with_name(f".{root.name}.{os.getpid()}.part")
-    shutil.rmtree(part, ignore_errors=True)
+    for left in leftovers(root.parent):  # of a writer that was killed
+        shutil.rmtree(left, ignore_errors=True)
+    part = temporary_of(root)
     try:
         layout = DriveLayout(part, DEMO_SEQUENCE)
         world = DemoWorld(seed, speed=speed, traffic=traffic)

@@ -1,4 +1,6 @@
 import hashlib
+import signal
+import sys
 
 import numpy as np
 import pytest
@@ -89,6 +91,24 @@ def test_same_seed_same_bytes_another_seed_another_street(drive, tmp_path):
 def test_an_existing_drive_is_never_overwritten(drive):
     with pytest.raises(DataError, match="remove"):
         write_demo(drive.root, size=DemoSize.tiny())
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from nvsf_core.demo.drive import DemoSize, write_demo
+kill = lambda done, total: os.kill(os.getpid(), signal.SIGKILL)
+write_demo(Path(sys.argv[1]), size=DemoSize.tiny(), progress=kill)
+"""
+
+
+def test_what_a_killed_writer_left_goes_with_the_next_one(run_process, tmp_path):
+    root = tmp_path / "drives/demo"
+    assert run_process(sys.executable, "-c", KILLED, str(root)).returncode == -signal.SIGKILL
+    (left,) = root.parent.iterdir()
+    assert left.name.startswith(".publishing-demo-")
+    write_demo(root, size=DemoSize.tiny())
+    assert [path.name for path in root.parent.iterdir()] == ["demo"]
 
 
 def test_car_drives_8_to_10_m_s_far_from_the_origin(world):
