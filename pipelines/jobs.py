@@ -10,6 +10,9 @@ from pipelines.reaper import host_tags
 from pipelines.terminal import TERSE_LOGGING
 from pipelines.train_all import make_train_all_scenes
 
+RETRY_TAGS = {"dagster/max_retries": "2"}
+"""Of what the daemon launches: a run whose process died is launched again; one whose step failed is not."""
+
 train_all_scenes = make_train_all_scenes()
 
 # Each run has one recipe and one seed; `make bench` (benchmarks/run.py) runs it for each of SEEDS.

@@ -7,7 +7,7 @@ import dagster as dg
 from assets.scenes import register
 from assets.workspace import Workspace, catalogue
 from nvsf_core.stages.runner.trained import newest_field
-from pipelines.jobs import regenerate_synthetic
+from pipelines.jobs import RETRY_TAGS, regenerate_synthetic
 
 
 @dg.schedule(
@@ -32,7 +32,7 @@ def weekly_regeneration(context: dg.ScheduleEvaluationContext) -> Iterator[dg.Ru
             run_key=f"{entry.name}-{label}",
             partition_key=entry.name,
             run_config={"resources": {"workspace": {"config": choice}}},
-            tags={"nvsf/label": label},
+            tags={"nvsf/label": label, **RETRY_TAGS},
         )
     if not requested:
         yield dg.SkipReason("no scene has a trained field")

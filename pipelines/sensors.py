@@ -17,6 +17,7 @@ from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.section import why_wait
 from nvsf_core.errors import NvsfError
 from nvsf_core.stores.file_hashes import TimeIsUpError
+from pipelines.jobs import RETRY_TAGS
 from pipelines.reaper import host_tags
 from pipelines.switch import AUTOMATE_VARIABLE, is_on
 
@@ -25,8 +26,6 @@ _QUIET_S = 60.0
 """A drive is whole once nothing of it has changed for so long."""
 _MOST_READING_S = 20.0
 """Of one scene in one tick; Dagster ends a tick after 60 s. The next tick goes on from there."""
-_RETRIES = {"dagster/max_retries": "2"}
-"""Of a run whose process died; a step that failed is not run again (`run_retries` of the instance)."""
 
 _OFFERS = "/offers"
 """Key of the cursor for the verdicts on all scenes; no scene can have that name."""
@@ -145,7 +144,7 @@ scenes_follow = dg.AutomationConditionSensorDefinition(
     target=dg.AssetSelection.all(),
     minimum_interval_seconds=30,
     default_status=dg.DefaultSensorStatus.RUNNING if _FOLLOWS else dg.DefaultSensorStatus.STOPPED,
-    run_tags={**host_tags(), **KEPT_TAGS, **_RETRIES},
+    run_tags={**host_tags(), **KEPT_TAGS, **RETRY_TAGS},
     emit_backfills=False,
     description="Ingests, trains, renders, measures and writes what is new, and what a changed drive or view "
     "changes, one scene a run; a trained scene keeps its recipe and seed. Off unless NVSF_AUTOMATE=1 is set "

@@ -4,7 +4,7 @@ import dagster as dg
 
 from assets.report import REPORT
 from assets.scenes import key_of
-from pipelines.jobs import make_report, regenerate_synthetic
+from pipelines.jobs import RETRY_TAGS, make_report, regenerate_synthetic
 
 _FINISHED = (dg.DagsterRunStatus.SUCCESS, dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.CANCELED)
 _UNFINISHED = [status for status in dg.DagsterRunStatus if status not in _FINISHED]
@@ -29,4 +29,4 @@ def report_follows(context: dg.SensorEvaluationContext) -> dg.RunRequest | dg.Sk
     if not records or (records[0].end_time or 0.0) <= made_s:
         return dg.SkipReason(f"no run of {job} has ended since the report was made")
     # A report that fails is not made again for the same regeneration.
-    return dg.RunRequest(run_key=records[0].dagster_run.run_id)
+    return dg.RunRequest(run_key=records[0].dagster_run.run_id, tags=RETRY_TAGS)
