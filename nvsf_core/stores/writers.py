@@ -42,7 +42,7 @@ def temporary_of(target: Path) -> Path:
 def unforgotten(folder: Path) -> Iterator[None]:
     """Touch a temporary folder from time to time meanwhile.
 
-    A training writes nothing into it for days, and by that alone other machines and containers judge.
+    A training writes nothing into it for days; what no one changes counts elsewhere as left by a dead writer.
     """
     ended = threading.Event()
 
