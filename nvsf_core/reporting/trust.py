@@ -8,7 +8,9 @@ from nvsf_core.metrics.trust.cues import GUESSED_SHARE, IMAGE_CUES, SCAN_CUES, C
 from nvsf_core.metrics.trust.verdict import (
     LIDAR,
     LITTLE_GUESSED,
+    LITTLE_MISSING,
     MUCH_GUESSED,
+    MUCH_MISSING,
     NOTICED,
     STRANGE,
     TOO_FAR,
@@ -97,10 +99,11 @@ def _figures(said: Sequence[Verdict]) -> str:
     rule = (
         "The score is a plain mean of the first columns. <b>As recorded</b>: a score no larger than those of"
         f" recorded data and at most {NOTICED:g} times their median, at most {LITTLE_GUESSED:.0%} guessed,"
-        f" and no figure beyond {STRANGE:g}"
+        f" at most {LITTLE_MISSING:.0%} of the returns missing, and no figure beyond {STRANGE:g}"
         f" times the largest of recorded data. <b>Do not use</b>: more than {TOO_FAR:g} times that median,"
-        f" or more than {MUCH_GUESSED:.0%} guessed. These limits were set by hand. In brackets: least to"
-        " largest value that recorded scans or pictures, left out in turn, have against the others."
+        f" more than {MUCH_GUESSED:.0%} guessed, or more than {MUCH_MISSING:.0%} missing. These limits were"
+        " set by hand. In brackets: least to largest value that recorded scans or pictures, left out in turn,"
+        " have against the others."
         " Guessed parts are marked as such in every data set and can be left out."
     )
     return f'<details><summary>The figures</summary>{"".join(parts)}<p class="soft">{rule}</p></details>'

@@ -40,6 +40,10 @@ DENSITY = Cue(
     "trust_density_chamfer", "1", "density-aware distance to the drive",
     "its returns lie farther from the recorded ones, or crowd more, than those of a recorded scan",
 )  # fmt: skip
+MISSING = Cue(
+    "trust_returns_missing", "1", "returns missing",
+    "it has no returns where the recorded scans near by, seen from its place, have them",
+)  # fmt: skip
 LASERS = Cue(
     "trust_hits_by_laser", "1", "returns by laser",
     "its lasers return much more or less often than in the recorded scans near by",
@@ -80,7 +84,7 @@ GUESSED_SHARE = Cue(GUESSED, "1", "guessed", "it shows what nobody recorded")
 
 SCAN_SCORE = (WRONG, AWAY, DENSITY)
 IMAGE_SCORE = (DISAGREES, PARALLAX)
-SCAN_CUES = (*SCAN_SCORE, LASERS, RANGES, INCIDENCE, INTENSITY, SCAN_PATCHES, ODOMETRY)
+SCAN_CUES = (*SCAN_SCORE, MISSING, LASERS, RANGES, INCIDENCE, INTENSITY, SCAN_PATCHES, ODOMETRY)
 IMAGE_CUES = (*IMAGE_SCORE, IMAGE_PATCHES)
 UNITS = {cue.name: cue.unit for cue in (*SCAN_CUES, *IMAGE_CUES, GUESSED_SHARE)} | {SCORE: "1"}
 """Unit of each metric of the protocol."""

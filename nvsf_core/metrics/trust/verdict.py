@@ -17,6 +17,7 @@ from nvsf_core.metrics.trust.cues import (
     GUESSED,
     IMAGE_CUES,
     IMAGE_SCORE,
+    MISSING,
     PROTOCOL,
     SCAN_CUES,
     SCAN_SCORE,
@@ -31,6 +32,9 @@ TOO_FAR = 2.0
 """Beyond so many times, a view must not be used."""
 LITTLE_GUESSED, MUCH_GUESSED = 0.01, 0.25
 """A view of which at most so much is guessed may be as recorded; with more than that it must not be used."""
+LITTLE_MISSING, MUCH_MISSING = 0.06, 0.25
+"""A view of whose proven returns at most so many are missing may be as recorded; with more than that it must
+not be used. Of sound views 0.003 to 0.044 are missing, with a sector of 30 degrees dark 0.067 or more."""
 STRANGE = 10.0
 """A cue beyond so many times the largest recorded value makes any view one to use with care."""
 _LEAST_STRANGE = 1e-3
@@ -127,7 +131,7 @@ def _verdict(
 ) -> Verdict:
     score, band = values.get(SCORE, math.nan), bands.get(SCORE)
     ratio = math.nan if band is None else score / max(band.median, 1e-12)
-    guessed = values.get(GUESSED, 0.0)
+    guessed, missing = values.get(GUESSED, 0.0), values.get(MISSING.name, 0.0)
     strange = [
         cue for cue in _all_cues(sensor)
         if cue.name in bands
@@ -136,10 +140,12 @@ def _verdict(
     trust = Trust.WITH_CARE
     if math.isnan(ratio):
         trust = Trust.NOT_KNOWN
-    elif ratio > TOO_FAR or guessed > MUCH_GUESSED:
+    elif ratio > TOO_FAR or guessed > MUCH_GUESSED or missing > MUCH_MISSING:
         trust = Trust.DO_NOT_USE
-    elif scored[0] == scored[1] and _is_within(score, band) and guessed <= LITTLE_GUESSED and not strange:
-        trust = Trust.AS_RECORDED
+    elif scored[0] == scored[1] and _is_within(score, band) and not strange:
+        # A share that is not known is NaN: it doubts nothing.
+        doubted = guessed > LITTLE_GUESSED or missing > LITTLE_MISSING
+        trust = Trust.WITH_CARE if doubted else Trust.AS_RECORDED
     why = _why(sensor, trust, values, bands, strange, scored)
     return Verdict(
         view=view, sensor=sensor, trust=trust, why=why, ratio=ratio, values=dict(values), bands=dict(bands)
@@ -166,6 +172,8 @@ def _why(
     if values.get(GUESSED, 0.0) > LITTLE_GUESSED:
         share = f"{100.0 * values[GUESSED]:.0f} % of its {parts} look at what nobody recorded"
         reasons.append(f"{share} (marked as guessed, and can be left out)")
+    if values.get(MISSING.name, 0.0) > LITTLE_MISSING:
+        reasons.append(f"{MISSING.reason} ({100.0 * values[MISSING.name]:.0f} % of these are missing)")
     if strange:
         reasons.append(max(strange, key=lambda cue: values[cue.name] / _safe(bands[cue.name].high)).reason)
     else:

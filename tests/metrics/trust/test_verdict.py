@@ -3,10 +3,10 @@ from collections.abc import Mapping
 
 import pytest
 
-from nvsf_core.metrics.trust.cues import BAND, GUESSED, PROTOCOL, SCAN_CUES, SCAN_SCORE, SCORE
+from nvsf_core.metrics.trust.cues import BAND, GUESSED, MISSING, PROTOCOL, SCAN_CUES, SCAN_SCORE, SCORE
 from nvsf_core.metrics.trust.verdict import Band, Trust, Verdict, score_of, verdicts
 
-RECORDED = {cue.name: 0.1 for cue in SCAN_CUES}
+RECORDED = {cue.name: 0.1 for cue in SCAN_CUES if cue != MISSING}
 
 
 def _rows(values: Mapping[str, float], bands: Mapping[str, float]) -> list[dict]:
@@ -72,6 +72,13 @@ def test_what_is_guessed_makes_it_worse_and_is_said_in_percent() -> None:
     said = [_verdict({}, guessed).trust for guessed in (0.005, 0.02, 0.3)]
     assert said == [Trust.AS_RECORDED, Trust.WITH_CARE, Trust.DO_NOT_USE]
     assert "30 % of its rays look at what nobody recorded" in _verdict({}, 0.3).why
+
+
+def test_missing_returns_make_it_worse_whatever_the_score_and_are_said_in_percent() -> None:
+    said = [_verdict({MISSING.name: share}).trust for share in (math.nan, 0.044, 0.067, 0.97)]
+    assert said == [Trust.AS_RECORDED, Trust.AS_RECORDED, Trust.WITH_CARE, Trust.DO_NOT_USE]
+    assert "no returns where the recorded scans near by" in _verdict({MISSING.name: 0.97}).why
+    assert "97 % of these are missing" in _verdict({MISSING.name: 0.97}).why
 
 
 def test_without_recorded_data_to_compare_with_nothing_is_known() -> None:

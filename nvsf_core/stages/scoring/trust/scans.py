@@ -4,6 +4,7 @@ The drive is its training scans but a few, evenly spaced, which are left out: ea
 gives the band.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,12 +22,14 @@ from nvsf_core.metrics.trust.cues import (
     INCIDENCE,
     INTENSITY,
     LASERS,
+    MISSING,
     RANGES,
     SCAN_PATCHES,
     WRONG,
 )
 from nvsf_core.metrics.trust.drive_distance import DriveCloud
 from nvsf_core.metrics.trust.likeness_classifier import distinguished, scan_features
+from nvsf_core.metrics.trust.missing_returns import missing_share
 from nvsf_core.metrics.trust.scan_statistics import (
     ScanGrid,
     hit_rate_by_laser,
@@ -41,6 +44,7 @@ from nvsf_core.metrics.trust.scan_statistics import (
 )
 from nvsf_core.recording.drive import Sweeps
 from nvsf_core.rendering.rendered import Support
+from nvsf_core.sensors.beam_table import firing_grid
 from nvsf_core.sensors.sweep import Trajectory, compensate, sweep_fraction
 from nvsf_core.sensors.sweep_clock import SweepClock
 from nvsf_core.sensors.tables import LaserTable
@@ -55,7 +59,8 @@ from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 _LEFT_OUT = 4
 """Most training scans that give the band."""
 _NEIGHBOURS = 2
-"""Training scans, nearest in time, that distributions are compared with."""
+"""Training scans, nearest in time, that distributions are compared with, or nearest in place, that prove
+returns."""
 _NEAR_M, _FAR_M = 3.0, 80.0
 """Nearer is the own vehicle, farther is counted by no metric."""
 _VIEW = (
@@ -164,6 +169,21 @@ class RecordedScans:
         others.sort(key=lambda k: abs(float(self.sweeps.arrays["time_s"][k]) - time_s))
         return [self.traits(k) for k in others[:_NEIGHBOURS]]
 
+    def returns_seen_from(self, lidar_to_world: np.ndarray) -> list[np.ndarray]:
+        """Returns (n, 3) of the training scans nearest to a sensor's pose (4, 4), in its frame, metres.
+
+        Points stay where they are in a sweep: the sensor in question moves meanwhile as the recorded one did.
+        """
+        a = self.sweeps.arrays
+        away_m = np.linalg.norm(a["lidar_to_world"][self.scans, :3, 3] - lidar_to_world[:3, 3], axis=1)
+        found = []
+        for k in np.argsort(away_m, kind="stable")[:_NEIGHBOURS].tolist():
+            cut = self.sweeps.returns_of(self.scans[k])
+            points_m = a["points_m"][cut][self._is_counted(cut)].astype(np.float64)
+            to_sensor = poses_in(lidar_to_world, a["lidar_to_world"][self.scans[k]])
+            found.append(points_m @ to_sensor[:3, :3].T + to_sensor[:3, 3])
+        return found
+
     def band(self) -> list[dict[str, float]]:
         """Cues of each left-out scan against the others."""
         found = []
@@ -262,6 +282,7 @@ def scan_cues(
             WRONG.name: float(np.where(guessed, 0.5, wrong).mean()),
             AWAY.name: recorded.cloud.away(points_m),
             DENSITY.name: recorded.cloud.density_aware(points_m),
+            MISSING.name: _missing(a, i, table, recorded),
         }
         if is_comparable:
             # Compared with what was recorded near the same place, whatever instant of the scene is shown.
@@ -274,6 +295,28 @@ def _is_counted(points_m: np.ndarray) -> np.ndarray:
     """(n,) bool: points (n, 3) in the sensor's frame that are neither of the own vehicle nor too far."""
     distance_m = np.linalg.norm(points_m, axis=1)
     return np.asarray((distance_m > _NEAR_M) & (distance_m <= _FAR_M))
+
+
+def _missing(a: Mapping[str, Any], i: int, table: LaserTable, recorded: RecordedScans) -> float:
+    """Share of the rays of a rendered sweep, proven to return by recorded scans, that do not.
+
+    A ray without an end has no point to see: its direction is the sensor's own.
+    """
+    range_m, hit, azimuth_rad, elevation_rad = (
+        a[f"grid_{name}"][i, :, : int(a["grid_firings"][i])]
+        for name in ("range_m", "hit", "azimuth_rad", "elevation_rad")
+    )
+    is_own = table.name == recorded.sensor and len(hit) == len(recorded.lasers)
+    lasers = recorded.lasers if is_own else np.arange(table.laser_count)
+    if len(lasers) != len(hit):
+        return math.nan
+    met = range_m > 0.0
+    azimuth_rad = np.where(met, azimuth_rad, firing_grid(table, hit.shape[1])[0][lasers])
+    laser_rad = table.elevation_rad[lasers]
+    shown = met.any(axis=1)
+    laser_rad[shown] = np.nanmedian(np.where(met, elevation_rad, np.nan)[shown], axis=1)
+    near_by_m = recorded.returns_seen_from(a["lidar_to_world"][i])
+    return missing_share(azimuth_rad, laser_rad, rays_return(hit) & met, near_by_m)
 
 
 def _rendered_grid(a: Mapping[str, Any], i: int, firings: int) -> ScanGrid:

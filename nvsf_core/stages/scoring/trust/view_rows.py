@@ -18,7 +18,7 @@ from nvsf_core.stages.scoring.trust.odometry import odometry_errors
 from nvsf_core.stages.scoring.trust.scans import read_training_scans, scan_cues
 from nvsf_core.stores.arrays import holds_array, read_attrs
 
-_ABSENT = absent("nothing recorded is left over to compare with, or it was recorded by another sensor")
+_ABSENT = absent("too little recorded is left over to compare with, or it was recorded by another sensor")
 _Cues = Iterator[tuple[int, Mapping[str, float]]]
 
 
