@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.metrics.trust.cues import GUESSED_SHARE, IMAGE_CUES, SCAN_CUES, Cue
 from nvsf_core.metrics.trust.verdict import (
+    EASILY_DISTINGUISHED,
     LIDAR,
     LITTLE_GUESSED,
     LITTLE_MISSING,
@@ -100,7 +101,8 @@ def _figures(said: Sequence[Verdict]) -> str:
         "The score is a plain mean of the first columns. <b>As recorded</b>: a score no larger than those of"
         f" recorded data and at most {NOTICED:g} times their median, at most {LITTLE_GUESSED:.0%} guessed,"
         f" at most {LITTLE_MISSING:.0%} of the returns missing, and no figure beyond {STRANGE:g}"
-        f" times the largest of recorded data. <b>Do not use</b>: more than {TOO_FAR:g} times that median,"
+        " times the largest of recorded data, that of patches distinguished not beyond"
+        f" {EASILY_DISTINGUISHED:g}. <b>Do not use</b>: more than {TOO_FAR:g} times that median,"
         f" more than {MUCH_GUESSED:.0%} guessed, or more than {MUCH_MISSING:.0%} missing. These limits were"
         " set by hand. In brackets: least to largest value that recorded scans or pictures, left out in turn,"
         " have against the others."

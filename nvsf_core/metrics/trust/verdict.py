@@ -20,6 +20,7 @@ from nvsf_core.metrics.trust.cues import (
     MISSING,
     PROTOCOL,
     SCAN_CUES,
+    SCAN_PATCHES,
     SCAN_SCORE,
     SCORE,
     Cue,
@@ -37,6 +38,9 @@ LITTLE_MISSING, MUCH_MISSING = 0.06, 0.25
 not be used. Of sound views 0.003 to 0.044 are missing, with a sector of 30 degrees dark 0.067 or more."""
 STRANGE = 10.0
 """A cue beyond so many times the largest recorded value makes any view one to use with care."""
+EASILY_DISTINGUISHED = 0.9
+"""A classifier's area under the ROC curve beyond this makes any view one to use with care. It ends at 1, and
+is 0.5 among recorded data: none could be ten times that. Of the views of docs/trust.md it is up to 0.82."""
 _LEAST_STRANGE = 1e-3
 """No smaller value is strange: beside scans that are all alike, as without intensity, any other would be."""
 
@@ -134,8 +138,7 @@ def _verdict(
     guessed, missing = values.get(GUESSED, 0.0), values.get(MISSING.name, 0.0)
     strange = [
         cue for cue in _all_cues(sensor)
-        if cue.name in bands
-        and values.get(cue.name, 0.0) > max(STRANGE * bands[cue.name].high, _LEAST_STRANGE)
+        if values.get(cue.name, 0.0) > _strange_beyond(cue, bands)
     ]  # fmt: skip
     trust = Trust.WITH_CARE
     if math.isnan(ratio):
@@ -150,6 +153,15 @@ def _verdict(
     return Verdict(
         view=view, sensor=sensor, trust=trust, why=why, ratio=ratio, values=dict(values), bands=dict(bands)
     )
+
+
+def _strange_beyond(cue: Cue, bands: Mapping[str, Band]) -> float:
+    """Value beyond which a cue makes any view one to use with care; infinite without recorded ones."""
+    if cue.name not in bands:
+        return math.inf
+    if cue.name == SCAN_PATCHES.name:
+        return EASILY_DISTINGUISHED
+    return max(STRANGE * bands[cue.name].high, _LEAST_STRANGE)
 
 
 def _is_within(score: float, band: Band | None) -> bool:
@@ -175,7 +187,7 @@ def _why(
     if values.get(MISSING.name, 0.0) > LITTLE_MISSING:
         reasons.append(f"{MISSING.reason} ({100.0 * values[MISSING.name]:.0f} % of these are missing)")
     if strange:
-        reasons.append(max(strange, key=lambda cue: values[cue.name] / _safe(bands[cue.name].high)).reason)
+        reasons.append(max(strange, key=lambda cue: values[cue.name] / _strange_beyond(cue, bands)).reason)
     else:
         known = [cue for cue in _score_cues(sensor) if cue.name in bands]
         worst = max(known, key=lambda cue: values[cue.name] / _safe(bands[cue.name].median), default=None)

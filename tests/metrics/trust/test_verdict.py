@@ -3,7 +3,17 @@ from collections.abc import Mapping
 
 import pytest
 
-from nvsf_core.metrics.trust.cues import BAND, GUESSED, MISSING, PROTOCOL, SCAN_CUES, SCAN_SCORE, SCORE
+from nvsf_core.metrics.trust.cues import (
+    BAND,
+    GUESSED,
+    IMAGE_CUES,
+    MISSING,
+    PROTOCOL,
+    SCAN_CUES,
+    SCAN_PATCHES,
+    SCAN_SCORE,
+    SCORE,
+)
 from nvsf_core.metrics.trust.verdict import Band, Trust, Verdict, score_of, verdicts
 
 RECORDED = {cue.name: 0.1 for cue in SCAN_CUES if cue != MISSING}
@@ -79,6 +89,22 @@ def test_missing_returns_make_it_worse_whatever_the_score_and_are_said_in_percen
     assert said == [Trust.AS_RECORDED, Trust.AS_RECORDED, Trust.WITH_CARE, Trust.DO_NOT_USE]
     assert "no returns where the recorded scans near by" in _verdict({MISSING.name: 0.97}).why
     assert "97 % of these are missing" in _verdict({MISSING.name: 0.97}).why
+
+
+def test_patches_that_are_easily_distinguished_ask_for_care_of_scans_and_of_images() -> None:
+    among_recorded = {SCAN_PATCHES.name: 0.51}
+    for sensor, cues in (("lidar", SCAN_CUES), ("image_00", IMAGE_CUES)):
+        said = []
+        for area in (0.82, 0.95):
+            values = {cue.name: 0.1 for cue in cues} | {
+                SCORE: 0.1,
+                SCAN_PATCHES.name: area,
+                MISSING.name: 0.0,
+            }
+            rows = _rows(values, {cue.name: 0.1 for cue in cues} | {SCORE: 0.1} | among_recorded)
+            said += verdicts([{**row, "sensor": sensor} for row in rows])
+        assert [one.trust for one in said] == [Trust.AS_RECORDED, Trust.WITH_CARE]
+        assert "a small classifier easily distinguishes its patches" in said[1].why.lower()
 
 
 def test_without_recorded_data_to_compare_with_nothing_is_known() -> None:
