@@ -17,6 +17,7 @@ from scipy.stats import spearmanr
 from benchmarks.common.documents import markdown_table, write_between
 from benchmarks.tables.results_document import commits_of
 from nvsf_core.drives.catalogue import home_from_environment
+from nvsf_core.metrics.support_pool import pool_by_support
 from nvsf_core.metrics.table import HELD_OUT, Row, mean_rows
 from nvsf_core.metrics.trust.verdict import LIDAR, Trust, Verdict, verdicts
 from nvsf_core.rendering.rendered import Support
@@ -108,10 +109,11 @@ def support_table(rows: Sequence[Row]) -> str:
     cells = []
     for scene in dict.fromkeys(row["scene"] for row in rows):
         for protocol, metric in _BY_SUPPORT:
-            found = [_pooled(rows, scene, protocol, metric, support) for support in reversed(Support)]
-            if any(math.isfinite(value) for value, _ in found):
-                total = sum(count for _, count in found)
-                shares = [f"{_number(value, metric)} ({count / total:.1%})" for value, count in found]
+            own = [row for row in rows if row["scene"] == scene]
+            found = pool_by_support(own, protocol, metric).values()
+            total = sum(one.n_valid for one in found)
+            if total:
+                shares = [f"{_number(one.value, metric)} ({one.n_valid / total:.1%})" for one in found]
                 cells.append([scene, "scans" if protocol == "raw" else "images", HEADS[metric], *shares])
     head = ["scene", "of", "metric", *(support.name.lower() for support in reversed(Support))]
     return markdown_table(head, cells)
@@ -161,25 +163,6 @@ def _correlations(rows: Sequence[Row]) -> Iterator[tuple[str, int, str, str]]:
             for _, metric in metrics:
                 count, rho = rank_correlation(some, metric)
                 yield words, count, HEADS[metric], "–" if math.isnan(rho) else f"{rho:.2f}"
-
-
-def _pooled(
-    rows: Sequence[Row], scene: str, protocol: str, metric: str, support: Support
-) -> tuple[float, int]:
-    """A metric over all rays or pixels of a support, and their number; of images the mean is of squares."""
-    mine = [
-        row for row in rows
-        if (row["scene"], row["protocol"], row["metric"], row["region"])
-        == (scene, protocol, metric, support.region) and math.isfinite(row["value"])
-    ]  # fmt: skip
-    count = np.array([row["n_valid"] for row in mine], np.float64)
-    value = np.array([row["value"] for row in mine])
-    if count.sum() == 0:
-        return math.nan, 0
-    if metric.endswith("_db"):
-        squared = np.sum(count * 10.0 ** (-value / 10.0)) / count.sum()
-        return float(-10.0 * np.log10(squared)), int(count.sum())
-    return float(np.sum(count * value) / count.sum()), int(count.sum())
 
 
 def _shown(errors: Mapping[str, float], metrics: Sequence[tuple[str, str]]) -> list[str]:

@@ -12,6 +12,7 @@ import numpy as np
 from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
 from nvsf_core.names import RESERVED_SCENES, name_fault
 from nvsf_core.recipe import is_seed_folder
+from nvsf_core.rendering.rendered import Support
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
 from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 from nvsf_core.stores.documents import foreign, read_picture
@@ -24,6 +25,7 @@ TRUTH_NAME = "truth.zarr"
 """True images of a view, stored in its folder beside the metrics."""
 _RECORDED = ("frames", "sweeps", "undistorted")
 """Inputs of `scene_metrics` that hold what was recorded: which frames are held out, and their truth."""
+_REGIONS = [support.region for support in Support]
 _READ = ("scene_metrics", "field", "novel_views", "pano", "sweeps", "undistorted")
 
 
@@ -94,6 +96,8 @@ class FieldRun:
     curve: dict[str, list[Any]]
     """Training curve by column; empty if there is none."""
     pictures: list[ViewPictures]
+    by_support: list[dict[str, Any]] = field(default_factory=list)
+    """The model's rows of `scene_metrics` by support, frame by frame."""
     error_cloud: bytes | None = None
     """PNG of `error_cloud_png`; only for the newest run."""
     is_comparable: bool = True
@@ -158,6 +162,7 @@ def collect_scene(
                 machine=_machine(records, recipe, seed),
                 measured=datetime.fromtimestamp(table.stat().st_mtime, UTC),
                 means=mean_rows(rows),
+                by_support=[row for row in rows if row["recipe"] == recipe and row["region"] in _REGIONS],
                 curve=read_table(curve) if curve.is_file() else {},
                 pictures=_pictures(root, recipe, seed) if position == 0 else [],
                 error_cloud=read_picture(table.parent / ERROR_CLOUD_NAME) if position == 0 else None,

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 
+from nvsf_core.metrics.support_pool import Pooled, pool_by_support
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.metrics.trust.cues import GUESSED_SHARE, IMAGE_CUES, SCAN_CUES, Cue
 from nvsf_core.metrics.trust.verdict import (
@@ -30,6 +31,8 @@ _BY_SUPPORT = (
     ("image", "image_psnr_db", "likeness of pixels (PSNR [dB]) ↑", 1),
 )
 """Protocol, metric, words and digits of the rows of the table of errors by support."""
+_LEAST_SHARE = 0.001
+"""Of fewer rays, points or pixels no error is shown: a handful says nothing of a mark."""
 _SUPPORT_WORDS = {
     Support.SEEN: "seen: recorded from about there",
     Support.EXTRAPOLATED: "extrapolated: recorded from elsewhere",
@@ -55,7 +58,7 @@ def trust_section(run: FieldRun) -> str:
             " differs no more than these is called <b>as recorded</b>.</p>",
             plain_table(("view", "scans", "pictures", "why"), lines, words=(1, 2, 3)),
             _figures(said),
-            _by_support(run.means, run.recipe),
+            _by_support(run.by_support),
         ]
     )
 
@@ -132,27 +135,26 @@ def _value(one: Verdict, cue: Cue) -> str:
     return f'{shown} <span class="soft">({number(band.low, 3)}–{number(band.high, 3)})</span>'
 
 
-def _by_support(means: Sequence[Row], recipe: str) -> str:
-    """Errors by support, means over the views whose truth is known; empty without one."""
-    mine = [row for row in means if row["recipe"] == recipe and row["n_defined"]]
-    regions = [support.region for support in _SUPPORT_WORDS]
+def _by_support(rows: Sequence[Row]) -> str:
+    """Errors by support, pooled over the views whose truth is known, and view by view; empty without one."""
     lines, folded = [], []
     for protocol, metric, words, digits in _BY_SUPPORT:
-        rows = [row for row in mine if (row["protocol"], row["metric"]) == (protocol, metric)]
-        rows = [row for row in rows if row["region"] in regions]
-        if rows:
-            lines.append([words, *(number(_mean(rows, region), digits) for region in regions)])
-        for view, sensor in dict.fromkeys((row["split"], row["sensor"]) for row in rows):
-            own = [row for row in rows if (row["split"], row["sensor"]) == (view, sensor)]
-            values = [number(_mean(own, region), digits) for region in regions]
-            folded.append([f"{_name(view)}, {escape(sensor)}: {words}", *values])
+        mine = [row for row in rows if (row["protocol"], row["metric"]) == (protocol, metric)]
+        pooled = pool_by_support(mine, protocol, metric)
+        if any(one.n_valid for one in pooled.values()):
+            lines.append([words, *_with_shares(pooled, digits)])
+        for view, sensor in dict.fromkeys((row["split"], row["sensor"]) for row in mine):
+            own = [row for row in mine if (row["split"], row["sensor"]) == (view, sensor)]
+            cells = _with_shares(pool_by_support(own, protocol, metric), digits)
+            folded.append([f"{_name(view)}, {escape(sensor)}: {words}", *cells])
     if not lines:
         return ""
     head = ("error by support", *_SUPPORT_WORDS.values())
     note = (
         "Each point and pixel is marked by what the recording knows of it. The marks, too, are made without"
         " the truth; here it is known, so that they can be checked: errors should grow from left to right."
-        " Means over views, sensors and frames."
+        " Each ray, point or pixel of all views, sensors and frames counts once. In brackets: their share;"
+        f" below {_LEAST_SHARE:.1%} there are too few for an error."
     )
     return (
         f"<h4>Are the marks right?</h4><p>{note}</p>{plain_table(head, lines)}"
@@ -160,7 +162,12 @@ def _by_support(means: Sequence[Row], recipe: str) -> str:
     )
 
 
-def _mean(rows: Sequence[Mapping[str, float]], region: str) -> float:
-    values = [float(row["value"]) for row in rows if str(row["region"]) == region]
-    finite = [value for value in values if math.isfinite(value)]
-    return sum(finite) / len(finite) if finite else math.nan
+def _with_shares(pooled: Mapping[Support, Pooled], digits: int) -> list[str]:
+    """Cells of a metric by support, each with the share that it rests on."""
+    total = max(1, sum(one.n_valid for one in pooled.values()))
+    cells = []
+    for support in _SUPPORT_WORDS:
+        share = pooled[support].n_valid / total
+        shown = number(pooled[support].value if share >= _LEAST_SHARE else math.nan, digits)
+        cells.append(f'{shown} <span class="soft">({share:.1%})</span>')
+    return cells

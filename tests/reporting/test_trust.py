@@ -1,5 +1,6 @@
 """The report's section on views without truth: words, figures and errors by support."""
 
+import math
 import re
 from datetime import UTC, datetime
 
@@ -10,10 +11,10 @@ from nvsf_core.reporting.trust import trust_section
 
 
 def _row(split: str, protocol: str, metric: str, value: float, *, region: str = "all", sensor: str = "lidar",
-         frame: int = 4) -> dict:  # fmt: skip
+         frame: int = 4, n_valid: int = 1) -> dict:  # fmt: skip
     return {
         "scene": "street", "split": split, "protocol": protocol, "region": region, "sensor": sensor,
-        "recipe": "quick", "seed": 0, "metric": metric, "value": value, "unit": "1", "n_valid": 1,
+        "recipe": "quick", "seed": 0, "metric": metric, "value": value, "unit": "1", "n_valid": n_valid,
         "frame": frame, "train_seconds": 1.0, "render_seconds": 1.0, "parameters": 1, "model_mb": 1.0,
     }  # fmt: skip
 
@@ -31,7 +32,7 @@ def _trust(split: str, sensor: str, score: float, guessed: float) -> list[dict]:
 def _section(rows: list[dict]) -> str:
     run = FieldRun(
         recipe="quick", seed=0, commit="abc", machine="", measured=datetime.now(UTC), means=mean_rows(rows),
-        curve={}, pictures=[],
+        curve={}, pictures=[], by_support=[row for row in rows if row["region"].startswith("support_")],
     )  # fmt: skip
     return trust_section(run)
 
@@ -60,12 +61,20 @@ def test_each_view_has_a_line_with_the_worst_word_of_its_sensors_and_the_reason(
 
 def test_errors_by_support_stand_beside_the_verdicts() -> None:
     rows = _trust("shift_1m", "lidar", 0.1, 0.0)
-    for region, values in (("support_seen", (0.9, 1.0)), ("support_guessed", (0.4, 0.2))):
-        for frame, value in enumerate(values):
-            rows.append(_row("shift_1m", "raw", "f_score", value, region=region, frame=frame))
-    page = _section(rows)
+    known = {
+        "support_seen": ((0.9, 300), (1.0, 100)), "support_extrapolated": ((0.1, 1),),
+        "support_guessed": ((0.4, 1000), (math.nan, 0)),
+    }  # fmt: skip
+    for region, found in known.items():
+        for frame, (value, n_valid) in enumerate(found):
+            row = _row("shift_1m", "raw", "f_score", value, region=region, frame=frame, n_valid=n_valid)
+            rows.append(row)
+    page = re.sub("</?span.*?>", "", _section(rows))
     assert "Are the marks right?" in page
-    assert re.search(r"F-score\) ↑</td><td>0\.950</td><td>–</td><td>0\.300</td>", page)
+    # Each point counts once, and a single one says nothing.
+    cells = r"<td>0\.925 \(28\.6%\)</td><td>– \(0\.1%\)</td><td>0\.400 \(71\.4%\)</td>"
+    assert re.search(rf"F-score\) ↑</td>{cells}", page)
+    assert re.search(rf"<code>shift_1m</code>, lidar: .*F-score\) ↑</td>{cells}", page)
 
 
 def test_a_run_without_verdicts_has_no_section() -> None:
