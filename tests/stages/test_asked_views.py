@@ -273,14 +273,19 @@ def test_a_view_with_recorded_truth_is_measured_by_its_images_alone(
     assert not [row for row in measured if row["split"] == "unknown"]
 
 
-def test_a_view_without_truth_has_a_verdict_on_its_scans_and_images(
+def test_a_view_without_truth_has_a_verdict_on_its_scans_and_says_what_one_on_images_lacks(
     recorded: tuple[Path, list[dict]],
 ) -> None:
     _, rows = recorded
     said = {(one.view, one.sensor): one for one in verdicts(mean_rows(rows))}
     assert said.keys() >= {("unknown", "lidar"), ("unknown", "image_00"), ("test", "lidar")}
-    for key in (("unknown", "lidar"), ("unknown", "image_00")):
-        assert said[key].trust is not Trust.NOT_KNOWN and np.isfinite(said[key].ratio), said[key]
+    scans = said["unknown", "lidar"]
+    assert scans.trust is not Trust.NOT_KNOWN and np.isfinite(scans.ratio), scans
+    # Frame 2 alone is held out: its image against itself would be no band.
+    for view in ("test", "unknown"):
+        images = said[view, "image_00"]
+        assert images.trust is Trust.NOT_KNOWN and "a single image was held out" in images.why, images
+    assert np.isfinite(said["unknown", "image_00"].score)
 
 
 def test_other_sensors_are_compared_with_the_drive_but_not_laser_by_laser(run: Run) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.metrics.trust.cues import (
     BAND,
     GUESSED,
@@ -150,9 +151,19 @@ def _verdict(
         doubted = guessed > LITTLE_GUESSED or missing > LITTLE_MISSING
         trust = Trust.WITH_CARE if doubted else Trust.AS_RECORDED
     why = _why(sensor, trust, values, bands, strange, scored)
+    if trust is Trust.NOT_KNOWN and _is_single_image(view, sensor, score, scored):
+        why = "It could not be compared: a single image was held out, so that recorded ones have no band."
     return Verdict(
         view=view, sensor=sensor, trust=trust, why=why, ratio=ratio, values=dict(values), bands=dict(bands)
     )
+
+
+def _is_single_image(view: str, sensor: str, score: float, scored: tuple[int, int]) -> bool:
+    """Whether, of a camera without a band, a single image was held out.
+
+    Other views are scored by it, then; itself it is not, as no image measures itself.
+    """
+    return sensor != LIDAR and (math.isfinite(score) or (view == HELD_OUT and scored[1] == 1))
 
 
 def _strange_beyond(cue: Cue, bands: Mapping[str, Band]) -> float:

@@ -107,6 +107,18 @@ def test_patches_that_are_easily_distinguished_ask_for_care_of_scans_and_of_imag
         assert "a small classifier easily distinguishes its patches" in said[1].why.lower()
 
 
+@pytest.mark.parametrize(("view", "score", "n_frames", "is_single"), [
+    ("test", math.nan, 1, True), ("shift_1m", 0.1, 8, True),
+    ("test", math.nan, 4, False), ("shift_1m", math.nan, 1, False),
+])  # fmt: skip
+def test_a_single_held_out_image_makes_no_band_and_is_said(view, score, n_frames, is_single) -> None:
+    facts = {"sensor": "image_00", "split": view, "n_frames": n_frames, "n_defined": 0}
+    (found,) = verdicts([{**row, **facts} for row in _rows({SCORE: score}, {})])
+    assert found.trust is Trust.NOT_KNOWN
+    assert ("a single image was held out" in found.why) == is_single
+    assert ("no recorded ones were left over" in found.why) != is_single
+
+
 def test_without_recorded_data_to_compare_with_nothing_is_known() -> None:
     found = _verdict({}, banded=False)
     assert found.trust is Trust.NOT_KNOWN and "left over" in found.why

@@ -41,7 +41,7 @@ class _HeldOut:
     fills: list[float]
 
     def curve(self, leave_out: int | None = None) -> ParallaxCurve | None:
-        """The curve of all held-out images but that of a frame."""
+        """The curve of all held-out images but that of a frame; None if none is left."""
         kept = [k for k, frame in enumerate(self.frame) if frame != leave_out]
         return parallax_curve([self.looks[k] for k in kept], [self.fills[k] for k in kept])
 
@@ -76,10 +76,13 @@ class RecordedCamera:
         return self._held_out.curve(leave_out)
 
     def band(self) -> list[dict[str, float]]:
-        """Cues of recorded images: of the held-out ones by their depths, of the training ones by patches."""
+        """Cues of recorded images: of the held-out ones by their depths, of the training ones by patches.
+
+        A single held-out image has none by its depths: compared with itself, it would be as recorded always.
+        """
         one, found = self._held_out, list[dict[str, float]]()
         for frame, look, guessed in zip(one.frame, one.looks, one.guessed, strict=True):
-            curve = one.curve(frame if len(one.frame) > 1 else None)
+            curve = one.curve(frame)
             if curve is not None:
                 found.append(_differences(look, guessed, curve))
         for k, patches in enumerate(self.patches):
