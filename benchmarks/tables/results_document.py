@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from benchmarks.common.documents import markdown_table
 from benchmarks.common.stored import Row
+from benchmarks.tables.same_views import of_same_views
 from benchmarks.tables.targets import BETTER_THAN, COSTS, NEVER_WORSE, OTHER, SHIFTS, TARGETS
 from nvsf_core.metrics.table import BASELINES, HELD_OUT
 
@@ -118,6 +119,9 @@ baseline of the highest PSNR there, and the error of `quick`:
 
 ![Six views off the recorded path, by truth, model, best baseline and error](pictures/off_path.jpg)
 """
+_LEFT_OUT = """\
+Left out: {names}. The view of that name of the scene's newest run is another one, or has no errors.
+"""
 
 
 class _Limit(NamedTuple):
@@ -186,7 +190,8 @@ def commits_of(rows: Iterable[Row]) -> str:
 
 def as_document(rows: Iterable[Row]) -> str:
     """The whole document."""
-    everything = by_method(rows)
+    comparable, left_out = of_same_views(rows)
+    everything = by_method(comparable)
     found = {key: mine for key, mine in everything.items() if not key[0].startswith(OTHER)}
     others = {key: mine for key, mine in everything.items() if key not in found}
     parts = [_INTRODUCTION]
@@ -199,6 +204,8 @@ def as_document(rows: Iterable[Row]) -> str:
                 about = [_ABOUT_MASKED] if protocol == "masked" else []
                 parts += [f"### {words} (`{protocol}`)\n", *about, table]
         parts += [*_views(mine), *_view_images(mine)]
+        if left_out[scene]:
+            parts.append(_LEFT_OUT.format(names="; ".join(left_out[scene])))
         if scene == _PICTURED:
             parts.append(_PICTURES)
     return "\n".join([*parts, *_others(others)])

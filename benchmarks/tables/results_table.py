@@ -21,6 +21,8 @@ from benchmarks.tables.results_document import as_document, by_method, cell, com
 from benchmarks.tables.targets import OTHER
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
+from nvsf_core.reporting.measured_against import measured_against
+from nvsf_core.stages.benchmark_report import stage_records
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stores.tables import read_rows
 
@@ -41,7 +43,8 @@ def collect(home: Path) -> dict[str, list[Row]]:
     """Recipe to what its runs measured: one row a scene and seed; the baselines' beside the newest run.
 
     A row's `errors` hold, by split, protocol, region and sensor with strokes between them, each metric's
-    mean over the frames where it is defined, null where it is defined on none.
+    mean over the frames where it is defined, null where it is defined on none; its `views` a digest of each
+    view with errors, by which `of_same_views` tells which compare.
     """
     found: dict[str, list[Row]] = {}
     # A killed writer leaves hidden folders behind.
@@ -49,11 +52,15 @@ def collect(home: Path) -> dict[str, list[Row]]:
     for path in sorted(tables, key=lambda table: table.stat().st_mtime_ns):
         measured = read_rows(path)
         means = mean_rows(measured)
+        recipe, of_seed = path.parts[-3:-1]
+        records = stage_records(path.parents[3])
+        views = dict(measured_against(records, recipe, of_seed, measured).views)
         for scene, method, seed in dict.fromkeys((m["scene"], m["recipe"], m["seed"]) for m in means):
             mine = [m for m in means if m["recipe"] == method]
             about = {"scene": scene, "method": method, "seed": seed, "commit": measured[0]["commit"]}
+            about["views"] = views
             # A baseline has no seed: it was measured beside each.
-            file, own = (_BASELINES, {"seed": 0}) if method in BASELINES else (path.parts[-3], {})
+            file, own = (_BASELINES, {"seed": 0}) if method in BASELINES else (recipe, {})
             found.setdefault(file, []).append(about | own | _costs(mine) | {"errors": _errors(mine)})
     return found
 

@@ -4,7 +4,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from nvsf_core.reporting.html import escape, number, plain_table
-from nvsf_core.reporting.scene_outputs import SceneOutputs, StageRecord
+from nvsf_core.reporting.scene_outputs import SceneOutputs
+from nvsf_core.reporting.stage_record import StageRecord
 
 _NOT_RUN = "not run"
 _HEAD = ("stage", "check", "value", "at most", "verdict")

@@ -185,18 +185,32 @@ def _provenance(scene: SceneOutputs) -> str:
 
 
 def _left_out(scene: SceneOutputs) -> str:
-    """Which runs are in no table, and why; empty if all are."""
-    names = ", ".join(
-        f"<b>{escape(run.recipe)}</b>, seed {run.seed} ({run.measured:%Y-%m-%d})"
+    """Which runs, and views of runs, are in no table, and why; empty if all are."""
+    names = ", ".join(_named(run) for run in scene.runs if not run.is_comparable)
+    of_views = ", ".join(
+        f"<code>{escape(view)}</code> of {_named(run)}"
         for run in scene.runs
-        if not run.is_comparable
+        if run.is_comparable
+        for view in sorted(run.other_views)
     )
-    if not names:
-        return ""
-    return (
-        f" Left out of the tables: {names}; measured at other held-out frames than the newest run, or against"
-        " other recorded data, so that errors do not compare. Train it again to have it beside the others."
-    )
+    parts = []
+    if names:
+        parts.append(
+            f" Left out of the tables: {names}; measured at other held-out frames than the newest run, or"
+            " against other recorded data, so that errors do not compare. Train it again to have it beside"
+            " the others."
+        )
+    if of_views:
+        parts.append(
+            f" Views left out of the tables: {of_views}; the newest run’s view of that name is another one"
+            " (other keys in the catalogue, other frames or other true images) or has no errors. Run the"
+            " recipe again to have it beside the others."
+        )
+    return "".join(parts)
+
+
+def _named(run: FieldRun) -> str:
+    return f"<b>{escape(run.recipe)}</b>, seed {run.seed} ({run.measured:%Y-%m-%d})"
 
 
 def _how_to_read() -> str:

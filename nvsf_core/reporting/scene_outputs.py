@@ -1,7 +1,7 @@
 """Read from a scene's published outputs what the report shows; absent outputs leave fields empty."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,6 +14,8 @@ from nvsf_core.names import RESERVED_SCENES, name_fault
 from nvsf_core.recipe import is_seed_folder
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
+from nvsf_core.reporting.measured_against import MeasuredAgainst, measured_against
+from nvsf_core.reporting.stage_record import StageRecord, record_of
 from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 from nvsf_core.stores.documents import foreign, read_picture
 from nvsf_core.stores.scene_store import SceneStore, published
@@ -23,24 +25,8 @@ METHODS = ("model", *BASELINES)
 """Methods whose rendered views are stored, in the order in which they are measured and shown."""
 TRUTH_NAME = "truth.zarr"
 """True images of a view, stored in its folder beside the metrics."""
-_RECORDED = ("frames", "sweeps", "undistorted")
-"""Inputs of `scene_metrics` that hold what was recorded: which frames are held out, and their truth."""
 _REGIONS = [support.region for support in Support]
 _READ = ("scene_metrics", "field", "novel_views", "pano", "sweeps", "undistorted")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StageRecord:
-    """A stage's record of its own run."""
-
-    stage: str
-    """Name of the stage, followed by recipe and seed for stages that are run per recipe."""
-    seconds: float
-    metadata: dict[str, Any]
-    checks: list[dict[str, Any]]
-    """Each with `name`, `passed`, `detail` and, if it has them, `value`, `limit`, `unit`."""
-    inputs: Mapping[str, str] = field(default_factory=dict)
-    """Stage to the content of its output, of those that this run read; empty if unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,6 +88,8 @@ class FieldRun:
     """PNG of `error_cloud_png`; only for the newest run."""
     is_comparable: bool = True
     """Whether it was measured at the newest run's held-out frames, against the same recorded data."""
+    other_views: frozenset[str] = frozenset()
+    """Views with errors that do not compare with the newest run's of the same name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,7 +132,7 @@ def collect_scene(
     root = store.root
     tables = sorted(_metric_tables(root), key=lambda path: -path.stat().st_mtime_ns)
     runs: list[FieldRun] = []
-    newest: _Truth | None = None
+    newest: MeasuredAgainst | None = None
     for position, table in enumerate(tables):
         recipe, seed = table.parts[-3], table.parts[-2]
         rows = read_rows(table)
@@ -152,21 +140,23 @@ def collect_scene(
         if others:
             raise foreign(table, f"expected metrics of scene {name!r}, found those of {others[0]!r:.60}")
         curve = root / "field" / recipe / seed / "curve.parquet"
-        truth = _truth_of(records, recipe, seed, rows)
-        newest = newest or truth
+        against = measured_against(records, recipe, seed, rows)
+        newest = newest or against
+        record = record_of(records, "scene_metrics", recipe, seed)
         runs.append(
             FieldRun(
                 recipe=recipe,
                 seed=int(seed),
                 commit=str(rows[0]["commit"]) if rows else "",
-                machine=_machine(records, recipe, seed),
+                machine="" if record is None else str(record.metadata.get("machine", "")),
                 measured=datetime.fromtimestamp(table.stat().st_mtime, UTC),
                 means=mean_rows(rows),
                 by_support=[row for row in rows if row["recipe"] == recipe and row["region"] in _REGIONS],
                 curve=read_table(curve) if curve.is_file() else {},
                 pictures=_pictures(root, recipe, seed) if position == 0 else [],
                 error_cloud=read_picture(table.parent / ERROR_CLOUD_NAME) if position == 0 else None,
-                is_comparable=truth.is_of(newest),
+                is_comparable=against.compares_with(newest),
+                other_views=against.other_views(newest),
             )
         )
     return SceneOutputs(name=name, records=list(records), runs=runs, proven=_proven(records), failure=failure)
@@ -175,7 +165,8 @@ def collect_scene(
 def method_rows(scene: SceneOutputs) -> list[dict[str, Any]]:
     """All mean rows, each with the `method` name to show and its `run`; baselines of the newest run only.
 
-    Runs on other held-out frames than the newest one's are left out: their errors do not compare.
+    What does not compare with the newest run is left out: runs on other held-out frames, and rows of views
+    that were other ones under the same name.
     """
     runs = [run for run in scene.runs if run.is_comparable]
     several = len({run.recipe for run in runs}) < len(runs)
@@ -183,45 +174,11 @@ def method_rows(scene: SceneOutputs) -> list[dict[str, Any]]:
     for position, run in enumerate(runs):
         for row in run.means:
             is_baseline = row["recipe"] in BASELINES
-            if is_baseline and position > 0:
+            if (is_baseline and position > 0) or row["split"] in run.other_views:
                 continue
             label = f"{row['recipe']}, seed {run.seed}" if several and not is_baseline else row["recipe"]
             rows.append({**row, "method": label, "is_baseline": is_baseline, "run": run})
     return rows
-
-
-@dataclass(frozen=True, slots=True)
-class _Truth:
-    """What a run was measured against."""
-
-    frames: frozenset[int]
-    """Held-out frames."""
-    recorded: Mapping[str, str]
-    """Stage to the content of its output, of those that hold recorded data; empty if unknown."""
-
-    def is_of(self, other: "_Truth") -> bool:
-        """Whether errors against this one compare with errors against the other."""
-        if self.recorded and other.recorded:
-            return self.recorded == other.recorded
-        return self.frames == other.frames
-
-
-def _truth_of(
-    records: Sequence[StageRecord], recipe: str, seed: str, rows: Sequence[Mapping[str, Any]]
-) -> _Truth:
-    record = _metrics_record(records, recipe, seed)
-    inputs = {} if record is None else record.inputs
-    recorded = {name: content for name, content in inputs.items() if name in _RECORDED}
-    return _Truth(frozenset(row["frame"] for row in rows if row["split"] == HELD_OUT), recorded)
-
-
-def _machine(records: Sequence[StageRecord], recipe: str, seed: str) -> str:
-    record = _metrics_record(records, recipe, seed)
-    return "" if record is None else str(record.metadata.get("machine", ""))
-
-
-def _metrics_record(records: Sequence[StageRecord], recipe: str, seed: str) -> StageRecord | None:
-    return next((one for one in records if one.stage == f"scene_metrics {recipe} {seed}"), None)
 
 
 def _metric_tables(root: Path) -> list[Path]:

@@ -8,13 +8,14 @@ from nvsf_core import metrics, reporting
 from nvsf_core._types import Scalar
 from nvsf_core.errors import NvsfError, StoreError
 from nvsf_core.reporting.report import write_report
-from nvsf_core.reporting.scene_outputs import SceneOutputs, StageRecord, collect_scene, measured_scenes
+from nvsf_core.reporting.scene_outputs import SceneOutputs, collect_scene, measured_scenes
 from nvsf_core.reporting.speed_plots import speed_section
+from nvsf_core.reporting.stage_record import StageRecord
 from nvsf_core.reporting.view_files import with_view_files
 from nvsf_core.stages import STAGE_NAMES
 from nvsf_core.stages.runner.failures import remembered_failures
 from nvsf_core.stages.runner.locks import LOCKS, file_lock
-from nvsf_core.stages.runner.record import RECORD_NAME, read_record
+from nvsf_core.stages.runner.record import RECORD_NAME, content_of, read_record
 from nvsf_core.stages.versions import VERSIONS
 from nvsf_core.stages.versions_page import made_from, write_versions_page
 from nvsf_core.stores.scene_store import publish_folder, published
@@ -120,14 +121,14 @@ def _written(path: Path) -> str | None:
 def _collected(home: Path, name: str, failure: str | None) -> SceneOutputs:
     """A scene's outputs; if they are damaged or of earlier code, only that reason."""
     try:
-        return collect_scene(home, name, _records(home / name), failure)
+        return collect_scene(home, name, stage_records(home / name), failure)
     # Any error may be raised here, and no scene's stored data may prevent the report of the others.
     except Exception as error:
         fault = f"what was published cannot be read: {error if isinstance(error, NvsfError) else repr(error)}"
         return SceneOutputs(name=name, failure=f"{failure}; {fault}" if failure else fault)
 
 
-def _records(root: Path) -> list[StageRecord]:
+def stage_records(root: Path) -> list[StageRecord]:
     """The stages' records in the order of the flow; of data sets only the newest of each recipe and seed."""
     found: dict[str, tuple[int, Path]] = {}
     for pattern in _RECORDS:
@@ -142,9 +143,8 @@ def _records(root: Path) -> list[StageRecord]:
         if record is not None:
             shown = {key: record[key] for key in ("seconds", "metadata", "checks")}
             shown["metadata"] = _without_removed(root, name, record["metadata"])
-            inputs = record.get("facts", {}).get("inputs")
-            shown["inputs"] = inputs if isinstance(inputs, dict) else {}
-            records.append(StageRecord(stage=name, **shown))
+            facts, content = record.get("facts", {}), content_of(record)
+            records.append(StageRecord(stage=name, facts=facts, content=content, **shown))
     return records
 
 

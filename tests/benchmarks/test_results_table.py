@@ -8,7 +8,7 @@ from benchmarks.tables.results_document import as_document, cell, error_of
 from benchmarks.tables.results_table import as_markdown, write
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reporting"))
-from street_store import write_street  # tests are no package
+from street_store import add_view, write_street  # tests are no package
 
 BEGIN, END = "<!-- results -->\n", "<!-- end of results -->\n"
 
@@ -143,6 +143,21 @@ def test_images_of_asked_views_are_a_table_of_views_and_methods_each_views_best_
     found = [line for line in lines if line.startswith("| `")]
     assert found[0] == "| `right_1m` | `quick` | 20.00 | - | - | 0.12500 |"
     assert "| `up_1m` | `mesh` | **20.00** | - | - | 0.12500 |" in found and len(found) == 8
+
+
+def test_a_view_that_was_another_one_under_the_same_name_is_left_out_and_named(tmp_path):
+    root = _root(tmp_path / "checkout")
+    for home, recipe, shift_m in (("one", "quick", 1.0), ("two", "lean", 4.0), ("two", "smoke", 4.0)):
+        add_view(write_street(tmp_path / home, "street", recipe=recipe), f"{recipe}/0", "left", shift_m)
+    for home in ("one", "two"):
+        write(tmp_path / home, root)
+    document = (root / "docs" / "results.md").read_text()
+    lines = document.split("images of asked views")[1].splitlines()
+    assert [line.split("`")[3] for line in lines if line.startswith("| `left`")][:3] == [
+        "lean", "smoke", "reproject",
+    ]  # fmt: skip
+    assert "Left out: `left` of `quick`, seed 0. The view" in document
+    assert "| `quick` | 0.0300 |" in document, "held-out frames compare all the same"
 
 
 def test_a_drive_nobody_tuned_on_is_no_line_of_the_readme_and_marked_where_copying_is_better(tmp_path):

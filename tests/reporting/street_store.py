@@ -10,7 +10,7 @@ import numpy as np
 from nvsf_core.metrics.table import COLUMNS, UNITS
 from nvsf_core.stores.arrays import write_arrays
 from nvsf_core.stores.scene_store import SceneStore
-from nvsf_core.stores.tables import write_rows, write_table
+from nvsf_core.stores.tables import read_rows, write_rows, write_table
 
 HEIGHT, WIDTH = 66, 1030
 _LIDAR = (
@@ -152,3 +152,28 @@ def _rows(scene: str, recipe: str, seed: int) -> list[dict[str, Any]]:
                     {**shared, **row, "value": value, "unit": UNITS[metric], "render_seconds": seconds}
                 )
     return rows
+
+
+def add_view(store: SceneStore, place: str, view: str, shift_m: float) -> None:
+    """Give the run at `place` (recipe and seed) errors and records of a view that was asked for.
+
+    Args:
+        store: The scene's store, by `write_street`.
+        place: Recipe and seed with a stroke between them.
+        view: Name of the view.
+        shift_m: How far to the left it was asked for, metres; its images are the worse.
+    """
+    metrics, views = store.path(f"scene_metrics/{place}"), store.path(f"novel_views/{place}")
+    rows = read_rows(metrics / "metrics.parquet")
+    images = [row for row in rows if row["metric"] == "image_psnr_db"]
+    own = [row | {"split": view, "value": row["value"] - shift_m} for row in images]
+    write_rows(metrics / "metrics.parquet", [*rows, *own], COLUMNS)
+    asked = [{"name": view, "shift_m": [0.0, shift_m, 0.0], "frames": [7]}]
+    _add_facts(views, {"views": asked}, place + str(asked))
+    inputs = {"frames": "f", "novel_views": place + str(asked)}
+    _add_facts(metrics, {"inputs": inputs, "truth": "none"}, "")
+
+
+def _add_facts(folder: Path, facts: dict[str, Any], fingerprint: str) -> None:
+    path = folder / "stage.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"facts": facts, "fingerprint": fingerprint}))

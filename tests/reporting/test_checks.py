@@ -5,7 +5,8 @@ from datetime import UTC, datetime
 import pytest
 
 from nvsf_core.reporting.checks import checks_section
-from nvsf_core.reporting.scene_outputs import FieldRun, SceneOutputs, StageRecord
+from nvsf_core.reporting.scene_outputs import FieldRun, SceneOutputs
+from nvsf_core.reporting.stage_record import StageRecord
 
 
 def _check(name, passed, detail, value=None, limit=None, unit=""):

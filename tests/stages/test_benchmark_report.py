@@ -24,7 +24,7 @@ from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows, write_rows
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reporting"))
-from street_store import write_street  # tests are no package
+from street_store import add_view, write_street  # tests are no package
 
 
 class _Outline(HTMLParser):
@@ -187,6 +187,27 @@ def test_what_runs_were_measured_against_is_known_by_content(
         path.write_text(json.dumps(json.loads(path.read_text()) | {"facts": facts}))
     _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
     assert ("Left out of the tables: quick" in text) == is_left_out
+
+
+def test_a_view_that_was_another_one_under_the_same_name_is_named_and_in_no_table(tmp_path: Path) -> None:
+    for recipe, shift_m in (("quick", 1.0), ("lean", 4.0), ("smoke", 4.0)):
+        store = write_street(tmp_path, "street", recipe=recipe)
+        add_view(store, f"{recipe}/0", "shift_1m", shift_m)
+    page, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
+    assert "Views left out of the tables: shift_1m of quick , seed 0 (20" in text
+    assert "shift_1m of lean" not in text and "quick in 9" in text, "held-out frames compare all the same"
+    table = page.split("<h3>View <code>shift_1m")[1].split("</table>")[0]
+    assert ">smoke</td>" in table and ">lean</td>" in table and ">quick</td>" not in table
+    assert table.count(">copy_nearest</td>") == 1 and ">14.80<" in table and ">17.80<" not in table
+
+
+def test_a_view_that_was_made_anew_since_it_was_measured_is_not_known(tmp_path: Path) -> None:
+    for recipe in ("quick", "smoke"):
+        add_view(write_street(tmp_path, "street", recipe=recipe), f"{recipe}/0", "shift_1m", 1.0)
+    older = tmp_path / "street/novel_views/quick/0/stage.json"
+    older.write_text(json.dumps(json.loads(older.read_text()) | {"fingerprint": "of other views"}))
+    _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
+    assert "Views left out of the tables: shift_1m of quick" in text
 
 
 def test_a_doubt_of_the_newest_run_s_data_set_is_no_older_run_s(tmp_path: Path) -> None:
