@@ -24,6 +24,7 @@ from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
 from nvsf_core.reporting.measured_against import measured_against
 from nvsf_core.stages.benchmark_report import stage_records
 from nvsf_core.stages.runner.host import machine
+from nvsf_core.stages.runner.record import made_s
 from nvsf_core.stores.tables import read_rows
 
 RECIPES = Path("benchmarks", "results", "recipes")
@@ -49,7 +50,7 @@ def collect(home: Path) -> dict[str, list[Row]]:
     found: dict[str, list[Row]] = {}
     # A killed writer leaves hidden folders behind.
     tables = home.glob("[!.]*/scene_metrics/[!.]*/[!.]*/metrics.parquet")
-    for path in sorted(tables, key=lambda table: table.stat().st_mtime_ns):
+    for path in sorted(tables, key=lambda table: made_s(table.parent)):
         measured = read_rows(path)
         means = mean_rows(measured)
         recipe, of_seed = path.parts[-3:-1]

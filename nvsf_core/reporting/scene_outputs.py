@@ -76,7 +76,7 @@ class FieldRun:
     machine: str
     """Machine that measured it; empty if unknown."""
     measured: datetime
-    """Time when its metrics were published, UTC."""
+    """When it was measured, UTC."""
     means: list[dict[str, Any]]
     """Rows of `metrics.table.mean_rows`, baselines included."""
     curve: dict[str, list[Any]]
@@ -130,7 +130,7 @@ def collect_scene(
     for stage in _READ:
         store.path(stage)  # refuses a link to elsewhere
     root = store.root
-    tables = sorted(_metric_tables(root), key=lambda path: -path.stat().st_mtime_ns)
+    tables = sorted(_metric_tables(root), key=lambda path: -_measured_s(path, records))
     runs: list[FieldRun] = []
     newest: MeasuredAgainst | None = None
     for position, table in enumerate(tables):
@@ -149,7 +149,7 @@ def collect_scene(
                 seed=int(seed),
                 commit=str(rows[0]["commit"]) if rows else "",
                 machine="" if record is None else str(record.metadata.get("machine", "")),
-                measured=datetime.fromtimestamp(table.stat().st_mtime, UTC),
+                measured=datetime.fromtimestamp(_measured_s(table, records), UTC),
                 means=mean_rows(rows),
                 by_support=[row for row in rows if row["recipe"] == recipe and row["region"] in _REGIONS],
                 curve=read_table(curve) if curve.is_file() else {},
@@ -185,6 +185,13 @@ def _metric_tables(root: Path) -> list[Path]:
     """Published metric tables; a killed writer's hidden folders are left out."""
     found = published(root, "scene_metrics/*/*/metrics.parquet")
     return [path for path in found if is_seed_folder(path.parent.name)]
+
+
+def _measured_s(table: Path, records: Sequence[StageRecord]) -> float:
+    """When a table of metrics was made, seconds since the epoch; without a record its file's time counts."""
+    record = record_of(records, "scene_metrics", *table.parts[-3:-1])
+    known = None if record is None else record.made_s
+    return table.stat().st_mtime if known is None else known
 
 
 def _proven(records: Sequence[StageRecord]) -> dict[str, Any]:

@@ -17,6 +17,8 @@ class StageRecord:
     """Each with `name`, `passed`, `detail` and, if it has them, `value`, `limit`, `unit`."""
     facts: Mapping[str, Any] = field(default_factory=dict)
     """All that decided its output, by `stages.runner.facts.facts_of`; empty if unknown."""
+    made_s: float | None = None
+    """When its output was made, seconds since the epoch; None if unknown."""
     content: str = ""
     """Digest of its output's files, by which `facts` of its readers name it; empty if unknown."""
 

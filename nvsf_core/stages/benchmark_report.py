@@ -15,7 +15,7 @@ from nvsf_core.reporting.view_files import with_view_files
 from nvsf_core.stages import STAGE_NAMES
 from nvsf_core.stages.runner.failures import remembered_failures
 from nvsf_core.stages.runner.locks import LOCKS, file_lock
-from nvsf_core.stages.runner.record import RECORD_NAME, content_of, read_record
+from nvsf_core.stages.runner.record import RECORD_NAME, content_of, made_s, read_record
 from nvsf_core.stages.versions import VERSIONS
 from nvsf_core.stages.versions_page import made_from, write_versions_page
 from nvsf_core.stores.scene_store import publish_folder, published
@@ -130,13 +130,13 @@ def _collected(home: Path, name: str, failure: str | None) -> SceneOutputs:
 
 def stage_records(root: Path) -> list[StageRecord]:
     """The stages' records in the order of the flow; of data sets only the newest of each recipe and seed."""
-    found: dict[str, tuple[int, Path]] = {}
+    found: dict[str, tuple[float, Path]] = {}
     for pattern in _RECORDS:
         for path in published(root, pattern):
             name = _name_of(path.parent.relative_to(root).parts)
-            changed = path.stat().st_mtime_ns
-            if name not in found or found[name][0] < changed:
-                found[name] = (changed, path.parent)
+            made = made_s(path.parent)
+            if name not in found or found[name][0] < made:
+                found[name] = (made, path.parent)
     records = []
     for name in sorted(found, key=_flow_rank):
         record = read_record(found[name][1])
@@ -144,6 +144,7 @@ def stage_records(root: Path) -> list[StageRecord]:
             shown = {key: record[key] for key in ("seconds", "metadata", "checks")}
             shown["metadata"] = _without_removed(root, name, record["metadata"])
             facts, content = record.get("facts", {}), content_of(record)
+            shown["made_s"] = record.get("made_s")
             records.append(StageRecord(stage=name, facts=facts, content=content, **shown))
     return records
 

@@ -210,6 +210,29 @@ def test_a_view_that_was_made_anew_since_it_was_measured_is_not_known(tmp_path: 
     assert "Views left out of the tables: shift_1m of quick" in text
 
 
+def test_which_run_is_the_newest_and_its_age_are_a_copied_home_s_too(tmp_path: Path) -> None:
+    for recipe, made_s in (("quick", 1e9), ("lean", 9e8)):
+        store = write_street(tmp_path, "street", recipe=recipe)
+        _say(store.path(f"scene_metrics/{recipe}/0"), made_s=made_s)
+    for place, made_s in (("0-0-manual", 1e9), ("0-7-2026-W47", 9e8)):
+        check = {"name": "every_scan_has_returns", "passed": False, "detail": f"in {place}"}
+        _say(store.path("dataset/.index/quick") / place, made_s=made_s, checks=[check])
+    copied_last = sorted(tmp_path.rglob("*.*"), key=lambda path: "lean" in str(path) or "W47" in str(path))
+    for number, path in enumerate(copied_last):
+        os.utime(path, (2e9 + number, 2e9 + number))
+    _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
+    assert "Measured: quick , seed 0: commit abc , 2001-09-09 01:46 UTC" in text
+    assert "in 0-0-manual" in text and "in 0-7-2026-W47" not in text
+
+
+def _say(folder: Path, **facts: object) -> None:
+    """Add facts to a stage's record; one that is not there is made."""
+    path = folder / "stage.json"
+    folder.mkdir(parents=True, exist_ok=True)
+    fresh = {"fingerprint": "f", "metadata": {}, "previews": {}, "seconds": 1.0}
+    path.write_text(json.dumps((json.loads(path.read_text()) if path.is_file() else fresh) | facts))
+
+
 def test_a_doubt_of_the_newest_run_s_data_set_is_no_older_run_s(tmp_path: Path) -> None:
     store = write_street(tmp_path, "street", recipe="quick", seed=0)
     record = json.loads((store.path("novel_views/quick/0") / "stage.json").read_text())
