@@ -255,30 +255,44 @@ def _recorded_scan(root: Path, frame: int) -> tuple[np.ndarray | None, np.ndarra
 
 def _camera(known: Path, methods: dict[str, Path], camera: str) -> CameraPair | None:
     """The middle image of one camera, of those whose truth is stored in `known`; None if there is none."""
-    frames = read_arrays(methods["model"], f"{camera}_frame")[f"{camera}_frame"]
+    name = f"{camera}_frame"
+    frames = read_arrays(methods["model"], name)[name]
     if not frames.size:
         return None
-    true = _true_frames(known, camera)
-    of_known = frames[np.isin(frames, true)]
-    frame = int(of_known[len(of_known) // 2] if of_known.size else frames[len(frames) // 2])
+    of_view, of_truth = _pairs(known, camera, frames)
+    middle = len(of_view) // 2
+    row = int(of_view[middle]) if of_view.size else len(frames) // 2
     rendered = {}
     for method, path in methods.items():
-        if camera not in read_attrs(path).get("cameras", []):
-            continue
-        stored = read_arrays(path, f"{camera}_rgb", f"{camera}_frame")
-        for row in np.flatnonzero(stored[f"{camera}_frame"] == frame)[:1]:
-            rendered[method] = stored[f"{camera}_rgb"][row]
-    truth = None
-    for row in np.flatnonzero(true == frame)[:1]:
-        truth = read_arrays(known, f"{camera}_rgb")[f"{camera}_rgb"][row]
-    return CameraPair(camera=camera, frame=frame, truth=truth, rendered=rendered)
+        if camera in read_attrs(path).get("cameras", []):  # of the same instants as the model's
+            rendered[method] = read_arrays(path, f"{camera}_rgb")[f"{camera}_rgb"][row]
+    frame, truth = int(frames[row]), None
+    if of_view.size:
+        stored = read_arrays(known, f"{camera}_rgb", name)
+        truth, frame = (stored[key][of_truth[middle]] for key in (f"{camera}_rgb", name))
+    return CameraPair(camera=camera, frame=int(frame), truth=truth, rendered=rendered)
 
 
-def _true_frames(known: Path, camera: str) -> np.ndarray:
-    """(n,) frames of a camera's images in a group; none if it lacks them."""
-    name = f"{camera}_frame"
-    has_them = known.is_dir() and holds_array(known, name)
-    return read_arrays(known, name)[name] if has_them else np.zeros(0, np.int64)
+def _pairs(known: Path, camera: str, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which images of a view, (k,) rows, have a true one, and its row (k,) in `known`.
+
+    Truth of a view of the catalogue says whose it is. Its frames are those asked for by time; on a path of
+    the view's own these are not the recorded ones nearest in place, by which the view's images are numbered.
+
+    Args:
+        known: Zarr group of true images; it may be absent, or without this camera.
+        camera: Name of the camera.
+        frames: (n,) frames of the view's images.
+    """
+    if not (known.is_dir() and holds_array(known, f"{camera}_frame")):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    if holds_array(known, f"{camera}_row"):
+        of_view = read_arrays(known, f"{camera}_row")[f"{camera}_row"]
+        of_truth = np.flatnonzero(of_view < len(frames))
+        return of_view[of_truth], of_truth
+    true = read_arrays(known, f"{camera}_frame")[f"{camera}_frame"]
+    _, of_view, of_truth = np.intersect1d(frames, true, return_indices=True)
+    return of_view, of_truth
 
 
 def mean_of(
