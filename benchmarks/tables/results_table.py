@@ -17,7 +17,8 @@ from typing import Any
 from benchmarks.common.documents import ROOT, markdown_table, write_between
 from benchmarks.common.stored import Row, write_json
 from benchmarks.kernels.voxel_walk_table import walk_table
-from benchmarks.tables.results_document import as_document, by_method, cell, commits_of, rank
+from benchmarks.tables.measured import Column, by_method, cell, commits_of, rank
+from benchmarks.tables.results_document import as_document
 from benchmarks.tables.targets import OTHER
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
@@ -30,12 +31,13 @@ from nvsf_core.stores.tables import read_rows
 RECIPES = Path("benchmarks", "results", "recipes")
 """Where in a checkout the finished runs' results lie, a JSON a recipe."""
 _SCAN, _IMAGE = "lidar4d_scan", "image"
-_ERRORS = {
-    (_SCAN, "chamfer_m2"): ("CD m²", 3), (_SCAN, "f_score"): ("F", 3),
-    (_SCAN, "range_psnr_db"): ("range PSNR dB", 1), (_SCAN, "hit_accuracy"): ("hit acc.", 3),
-    (_IMAGE, "image_psnr_db"): ("image PSNR", 1),
-}  # fmt: skip
+_ERRORS = (
+    (_SCAN, Column("chamfer_m2", "CD m²", 3)), (_SCAN, Column("f_score", "F", 3)),
+    (_SCAN, Column("range_psnr_db", "range PSNR dB", 1)), (_SCAN, Column("hit_accuracy", "hit acc.", 3)),
+    (_IMAGE, Column("image_psnr_db", "image PSNR", 1)),
+)  # fmt: skip
 _SECONDS = {"train_seconds": ("train s", 0), "render_seconds": ("sweep s", 2)}
+_PARTIAL = " `*`: over fewer of them, for in the others the method gave nothing to measure."
 _BASELINES = "baselines"
 """Name of their file."""
 
@@ -44,8 +46,9 @@ def collect(home: Path) -> dict[str, list[Row]]:
     """Recipe to what its runs measured: one row a scene and seed; the baselines' beside the newest run.
 
     A row's `errors` hold, by split, protocol, region and sensor with strokes between them, each metric's
-    mean over the frames where it is defined, null where it is defined on none; its `views` a digest of each
-    view with errors, by which `of_same_views` tells which compare.
+    mean over the frames where it is defined, null where it is defined on none; its `undefined` in the same
+    way on how many frames a metric is not, where it is not on all; its `views` a digest of each view with
+    errors, by which `of_same_views` tells which compare.
     """
     found: dict[str, list[Row]] = {}
     # A killed writer leaves hidden folders behind.
@@ -62,7 +65,7 @@ def collect(home: Path) -> dict[str, list[Row]]:
             about["views"] = views
             # A baseline has no seed: it was measured beside each.
             file, own = (_BASELINES, {"seed": 0}) if method in BASELINES else (recipe, {})
-            found.setdefault(file, []).append(about | own | _costs(mine) | {"errors": _errors(mine)})
+            found.setdefault(file, []).append(about | own | _costs(mine) | _errors(mine))
     return found
 
 
@@ -82,10 +85,10 @@ def as_markdown(rows: Iterable[Row]) -> str:
     """The README's table: means over seeds, with the standard deviation where there are several."""
     lines = []
     for (scene, method), mine in by_method(rows).items():
-        cells = [cell(mine.errors(*metric), digits) for metric, (_, digits) in _ERRORS.items()]
+        cells = [mine.cell(protocol, column) for protocol, column in _ERRORS]
         cells += [cell([row[name] for row in mine.rows], digits) for name, (_, digits) in _SECONDS.items()]
         lines.append([f"`{scene}`", f"`{method}`", mine.seeds, *cells, commits_of(mine.rows)])
-    titles = [title for title, _ in (*_ERRORS.values(), *_SECONDS.values())]
+    titles = [*(column.title for _, column in _ERRORS), *(title for title, _ in _SECONDS.values())]
     return markdown_table(["scene", "method", "seeds", *titles, "commit"], lines)
 
 
@@ -112,7 +115,8 @@ def write(home: Path, root: Path) -> str:
     shown = of_one_commit(row for row in everything if not row["scene"].startswith(OTHER))
     table = as_markdown(shown)
     machines = "; ".join(sorted({row["machine"] for row in shown}))
-    about = f"{machines}; mean of the catalogue's held-out frames, protocol `{_SCAN}`.\n\n"
+    partial = _PARTIAL if "*" in table else ""
+    about = f"{machines}; mean of the catalogue's held-out frames, protocol `{_SCAN}`.{partial}\n\n"
     write_between(root / "README.md", "results", about + table)
     return table
 
@@ -129,8 +133,9 @@ def _costs(means: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _errors(means: Iterable[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
+def _errors(means: Iterable[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
     errors: dict[str, dict[str, float | None]] = {}
+    undefined: dict[str, dict[str, int]] = {}
     for row in means:
         # Of regions only the boxes of moving objects have a table.
         if row["region"] != ("foreground" if row["protocol"] == "masked" else "all"):
@@ -138,7 +143,9 @@ def _errors(means: Iterable[dict[str, Any]]) -> dict[str, dict[str, float | None
         place = "/".join(row[key] for key in ("split", "protocol", "region", "sensor"))
         value = row["value"]
         errors.setdefault(place, {})[row["metric"]] = None if math.isnan(value) else value
-    return errors
+        if row["n_defined"] < row["n_frames"]:
+            undefined.setdefault(place, {})[row["metric"]] = row["n_frames"] - row["n_defined"]
+    return {"errors": errors, "undefined": undefined}
 
 
 if __name__ == "__main__":

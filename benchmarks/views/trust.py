@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from benchmarks.common.documents import markdown_table, write_between
-from benchmarks.tables.results_document import commits_of
+from benchmarks.tables.measured import commits_of
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.support_pool import pool_by_support
 from nvsf_core.metrics.table import HELD_OUT, Row, mean_rows

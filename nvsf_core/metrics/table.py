@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from nvsf_core.metrics.trust.cues import PROTOCOL
 from nvsf_core.metrics.trust.cues import UNITS as TRUST_UNITS
@@ -59,6 +59,7 @@ _SHORT = {
 }  # fmt: skip
 
 Row = Mapping[str, Any]
+Key = TypeVar("Key")
 
 
 def mean_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
@@ -84,6 +85,18 @@ def mean_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
             | {"value": value, "n_frames": len(group), "n_defined": n_defined, "render_seconds": seconds}
         )
     return means
+
+
+def over_most_frames(n_defined: Mapping[Key, int]) -> set[Key]:
+    """Which of several means may be called the best: those over as many frames as any of them.
+
+    A method that gives nothing in a hard frame has a mean over the others, easier ones.
+
+    Args:
+        n_defined: Name of each mean to the number of frames where it is defined.
+    """
+    most = max(n_defined.values(), default=0)
+    return {name for name, count in n_defined.items() if count == most}
 
 
 def summary_table(rows: Sequence[Row]) -> str:

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from nvsf_core.metrics.table import over_most_frames
+
 _STYLE = """
 :root { --ink:#1c2430; --soft:#5b6675; --line:#dfe4ea; --back:#f6f7f9; --best:#e3f4e8; --best-ink:#0f6b32;
   --accent:#1f6feb; --warn:#fff3df; --warn-ink:#8a5300; --bad:#fdeaea; --bad-ink:#9b1c1c; }
@@ -78,6 +80,8 @@ class Column:
     notes: list[str]
     """Tooltip of each value, for example how many frames are undefined; empty = none."""
     digits: int
+    n_defined: Sequence[int] = ()
+    """Frames that each mean is over; empty = of all the same."""
 
 
 def escape(value: Any) -> str:
@@ -168,12 +172,19 @@ def number(value: float, digits: int) -> str:
 
 
 def best_rows(column: Column) -> set[int]:
-    """Rows whose shown value is the column's best; empty if fewer than two values are finite."""
-    finite = [value for value in column.values if math.isfinite(value)]
+    """Rows whose shown value is the column's best; empty if fewer than two values are finite.
+
+    A mean over fewer frames than another is never the best.
+    """
+    finite = {row: value for row, value in enumerate(column.values) if math.isfinite(value)}
     if column.higher_is_better is None or len(finite) < 2:
         return set()
-    best = number(max(finite) if column.higher_is_better else min(finite), column.digits)
-    return {row for row, value in enumerate(column.values) if number(value, column.digits) == best}
+    known = [row for row, value in enumerate(column.values) if not math.isnan(value)]
+    whole = over_most_frames({row: column.n_defined[row] if column.n_defined else 0 for row in known})
+    values = {row: value for row, value in finite.items() if row in whole}
+    best = (max if column.higher_is_better else min)(values.values(), default=0.0)
+    shown = number(best, column.digits)
+    return {row for row, value in values.items() if number(value, column.digits) == shown}
 
 
 def higher_is_better(metric: str) -> bool:

@@ -237,7 +237,8 @@ def _how_to_read() -> str:
         f" exactly is compared:</p><ul>{protocols}</ul></details>"
         "<p>In tables, ↓ means that lower is better, ↑ that higher is; the best value of a column has a"
         " <span style='background:var(--best);color:var(--best-ink);padding:1px 6px'>green ground</span>."
-        " “–” is undefined, never zero; * is undefined on some frames (point at it).</p></section>"
+        " “–” is undefined, never zero; * is undefined on some frames (point at it), and never the best"
+        " beside a value of more frames.</p></section>"
     )
 
 

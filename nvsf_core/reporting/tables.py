@@ -117,12 +117,12 @@ def full_tables(rows: Sequence[Row]) -> list[tuple[str, str]]:
             cells = [
                 [row for row in mine if (row["method"], row["metric"]) == (name, metric)] for name in methods
             ]
-            values = [cell[0]["value"] if cell else math.nan for cell in cells]
-            notes = [_undefined(cell[0]["n_defined"], cell[0]["n_frames"]) if cell else "" for cell in cells]
+            found = [
+                (cell[0]["value"], cell[0]["n_defined"], cell[0]["n_frames"]) if cell else (math.nan, 0, 0)
+                for cell in cells
+            ]
             unit = next(cell[0]["unit"] for cell in cells if cell)
-            columns.append(
-                _metric_column(key[1], metric, _METRIC_WORDS.get(metric, metric), unit, values, notes)
-            )
+            columns.append(_metric_column(key[1], metric, _METRIC_WORDS.get(metric, metric), unit, found))
         split, protocol, region, sensor = key
         frames = max(row["n_frames"] for row in mine)
         where = "held-out frames" if split == HELD_OUT else f"split {split}"
@@ -171,17 +171,26 @@ def _column(
     found = [mean_of(rows, protocol, metric, split) for rows in by_method.values()]
     units = [row["unit"] for rows in by_method.values() for row in rows if row["metric"] == metric]
     unit = units[0] if units else ""
-    notes = [_undefined(defined, frames) for _, defined, frames in found]
-    return _metric_column(group, metric, title, unit, [value for value, _, _ in found], notes)
+    return _metric_column(group, metric, title, unit, found)
 
 
 def _metric_column(
-    group: str, metric: str, title: str, unit: str, values: list[float], notes: list[str]
+    group: str, metric: str, title: str, unit: str, found: Sequence[tuple[float, int, int]]
 ) -> Column:
+    """A column of means.
+
+    Args:
+        group: Heading above it and its neighbours.
+        metric: Name of the metric.
+        title: Words for it.
+        unit: As it is stored.
+        found: Of each method the mean, the frames where it is defined, and all frames.
+    """
     digits = 2 if unit == "dB" else 4 if unit == "m2" else 3
     return Column(
         group=group, title=title, unit=unit_text(unit), higher_is_better=higher_is_better(metric),
-        values=values, notes=notes, digits=digits,
+        values=[value for value, _, _ in found], n_defined=[defined for _, defined, _ in found],
+        notes=[_undefined(defined, frames) for _, defined, frames in found], digits=digits,
     )  # fmt: skip
 
 

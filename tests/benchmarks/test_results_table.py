@@ -1,11 +1,15 @@
 """The results are what was measured, and only what was measured again is replaced."""
 
 import json
+import math
 import sys
 from pathlib import Path
 
-from benchmarks.tables.results_document import as_document, cell, error_of
+from benchmarks.tables.measured import cell, error_of
+from benchmarks.tables.results_document import as_document
 from benchmarks.tables.results_table import as_markdown, write
+from nvsf_core.metrics.table import COLUMNS
+from nvsf_core.stores.tables import read_rows, write_rows
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reporting"))
 from street_store import add_view, write_street  # tests are no package
@@ -93,6 +97,27 @@ def test_the_document_has_a_table_a_protocol_the_best_bold_and_targets_that_are_
     assert "| `mesh` | 0.0900 | 0.9100 |" in scan and "| *target* | ≤ 0.0310 | ≥ 0.9750 |" in scan
     assert "(`masked`)" not in document and "undefined" not in document
     assert document.index("(`lidar4d_scan`)") < document.index("(`raw`)") < document.index("(`image`)")
+
+
+def test_a_mean_over_fewer_frames_is_marked_and_neither_best_nor_kept_for_better(tmp_path):
+    root, home = _root(tmp_path / "checkout"), tmp_path / "home"
+    for scene in ("k360_street", "other_street"):
+        store = write_street(home, scene, recipe="lean")
+        path = store.path("scene_metrics/lean/0") / "metrics.parquet"
+        spared = [
+            row | {"value": 0.01 if row["frame"] == 4 else math.nan}
+            if (row["metric"], row["recipe"]) == ("chamfer_m2", "lean")
+            else row
+            for row in read_rows(path)
+        ]
+        write_rows(path, spared, COLUMNS)
+    table = write(home, root)
+    assert "| `k360_street` | `lean` | 1 | 0.010* | 0.970 |" in table
+    assert "`*`: over fewer of them" in (root / "README.md").read_text()
+    assert _rows(root, "lean")[0]["undefined"]["test/lidar4d_scan/all/lidar"]["chamfer_m2"] == 1
+    document = (root / "docs" / "results.md").read_text()
+    assert "| `lean` | 0.0100* | **0.9700** ✗ |" in document and "| `reproject` | **0.0600** |" in document
+    assert "| `other_street` | `lean` | 1 | 0.0100* ✗ |" in document
 
 
 def test_what_must_beat_the_baselines_or_cost_little_is_marked_where_it_does_not(tmp_path):

@@ -51,6 +51,24 @@ def test_a_mean_over_fewer_frames_is_starred() -> None:
     assert "0.0400*" in lines[2] and "1.0000" in lines[3] and "*" not in lines[3]
 
 
+def test_who_gives_nothing_in_a_hard_frame_is_neither_better_nor_hides_who_is() -> None:
+    def rows(**frames_m2: tuple[float, float]) -> list[dict]:
+        return [
+            _row(recipe=method, frame=frame, value=value)
+            for method, values in frames_m2.items()
+            for frame, value in enumerate(values)
+        ]
+
+    spared = headline(rows(quick=(0.2, 4.0), copy_nearest=(0.1, math.nan), mesh=(0.5, 5.0)))
+    assert spared.splitlines()[0] == "demo: quick beats every baseline in CD"
+    assert "copy_nearest is better" not in spared
+    alone = headline(rows(quick=(0.2, 4.0), copy_nearest=(0.1, math.nan)))
+    assert alone.splitlines()[0] == "demo: quick beats every baseline in CD"
+    model = headline(rows(quick=(0.1, math.nan), mesh=(0.2, 4.0)))
+    assert model.splitlines()[0] == "demo: quick beats every baseline in nothing"
+    assert "mesh is better" not in model
+
+
 def test_images_off_the_path_stand_beside_the_best_baselines() -> None:
     def image(method: str, value: float, split: str) -> dict:
         return _row(recipe=method, protocol="image", metric="image_psnr_db", value=value, split=split)

@@ -2,6 +2,7 @@
 
 import io
 import math
+from dataclasses import replace
 
 import numpy as np
 from PIL import Image
@@ -62,6 +63,13 @@ def test_the_best_is_marked_in_the_right_direction_ties_shared_and_undefined_nev
     assert best_rows(_column([0.101, 0.1, 0.3], False)) == {0, 1}
     assert best_rows(_column([0.1, math.nan], False)) == set()
     assert best_rows(_column([1.0, 2.0], None)) == set()
+
+
+def test_a_mean_over_fewer_frames_than_another_is_never_the_best() -> None:
+    column = _column([0.3, 0.1, 0.4], False)
+    assert best_rows(replace(column, n_defined=[4, 3, 4])) == {0}
+    assert best_rows(replace(column, n_defined=[3, 3, 3])) == {1}
+    assert best_rows(replace(column, n_defined=[3, 3, 4], values=[0.3, 0.1, math.inf])) == set()
 
 
 def test_numbers_are_written_for_people() -> None:

@@ -59,26 +59,32 @@ def _is_possible(metric: str, value: float) -> bool:
 
 
 def _better(rows: Sequence[Row]) -> Check:
-    """Check `BETTER`: the share of main numbers in which the model is worse than the copy."""
+    """Check `BETTER`: the share of main numbers in which the model is worse than the copy.
+
+    Where one gives nothing in a frame that the other is measured in, it is the worse one, whatever its mean.
+    """
     means = [
         row for row in mean_rows(rows)
         if (row["split"], row["region"]) == (HELD_OUT, "all")
         and row["metric"] in HEADLINES[row["protocol"]] and not math.isnan(row["value"])
     ]  # fmt: skip
     key = ("protocol", "sensor", "metric")
-    copied = {tuple(row[k] for k in key): row["value"] for row in means if row["recipe"] == _COPY}
-    compared = [(tuple(row[k] for k in key), row["value"]) for row in means if row["recipe"] not in BASELINES]
-    compared = [(number, value) for number, value in compared if number in copied]
+    copied = {tuple(row[k] for k in key): row for row in means if row["recipe"] == _COPY}
+    compared = [(tuple(row[k] for k in key), row) for row in means if row["recipe"] not in BASELINES]
+    compared = [(number, row) for number, row in compared if number in copied]
     if not compared:
         return BETTER.not_run("no number of both the model and a copy of the nearest recording")
-    worse = [
-        number
-        for number, value in compared
-        if (value < copied[number] if higher_is_better(number[2]) else value > copied[number])
-    ]
+    worse = [number for number, row in compared if _is_worse(row, copied[number])]
     named = ", ".join(" ".join(number) for number in worse[:_NAMED])
     detail = f"worse in {len(worse)} of {len(compared)} main numbers" + (f": {named}" if named else "")
     return BETTER.outcome(len(worse) / len(compared), _HALF, detail)
+
+
+def _is_worse(row: Row, other: Row) -> bool:
+    if row["n_defined"] != other["n_defined"]:
+        return bool(row["n_defined"] < other["n_defined"])
+    lower, higher = (row, other) if higher_is_better(row["metric"]) else (other, row)
+    return bool(lower["value"] < higher["value"])
 
 
 def _trusted(rows: Sequence[Row]) -> Check:

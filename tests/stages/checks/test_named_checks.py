@@ -300,6 +300,21 @@ def test_a_model_worse_than_a_copy_and_darker_scans_are_doubted(store):
     assert "worse in 2 of 2" in found["model_is_better_than_copying"].detail
 
 
+def test_a_model_that_gives_nothing_in_a_frame_of_the_copy_is_worse_and_a_copy_so_is_not_better(store):
+    run, views = _run_plan(store), _views_stage(_nothing)
+    run_named_stage("novel_views", run, str, stages=[views])
+    values = {("chamfer_m2", "smoke"): (0.1, np.nan), ("chamfer_m2", "copy_nearest"): (0.2, 4.0)}
+    values |= {("range_missing", "smoke"): (0.1, 0.3), ("range_missing", "copy_nearest"): (0.1, np.nan)}
+    rows = [
+        _row(metric, value, recipe) | {"frame": frame}
+        for (metric, recipe), of_frames in values.items()
+        for frame, value in enumerate(of_frames)
+    ]
+    outcome = run_named_stage("scene_metrics", run, str, stages=[_metrics_stage(rows)])
+    (check,) = [one for one in outcome.checks if one.name == "model_is_better_than_copying"]
+    assert check.detail == "worse in 1 of 2 main numbers: raw lidar chamfer_m2"
+
+
 def test_an_output_made_before_its_check_is_judged_and_not_made_again(store):
     run, made = _run_plan(store), []
 
