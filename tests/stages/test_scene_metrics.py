@@ -1,4 +1,5 @@
 import math
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -216,6 +217,26 @@ def test_a_drive_without_a_lidar_is_measured_by_its_images(tmp_path: Path) -> No
     assert {row["sensor"] for row in rows} == {"image_00"}
     # Published camera depth is the one camera metric of that protocol.
     assert {row["metric"] for row in rows if row["protocol"] == "lidar4d"} == {"image_depth_rmse_m"}
+
+
+def test_a_drive_without_intensities_has_no_errors_of_them_and_no_doubt_for_it(tmp_path: Path) -> None:
+    task = _task(tmp_path)
+    _prepare(task, FRAMES)
+    root = task.store.root
+    for path in (root / "sweeps/returns.zarr", *root.glob("novel_views/*/*/test/*.zarr")):
+        arrays, attrs = read_arrays(path), read_attrs(path)
+        shutil.rmtree(path)
+        dull = {name: np.zeros_like(array) for name, array in arrays.items() if "intensity" in name}
+        write_arrays(path, arrays | dull, attrs)
+    output = run(task)
+    rows = read_rows(task.folder / TABLE_NAME)
+    dull_rows = [row for row in rows if row["metric"].startswith("intensity_")]
+    assert len(dull_rows) > 10 and all(math.isnan(row["value"]) for row in dull_rows)
+    assert all(math.isfinite(row["value"]) for row in rows if row["metric"].startswith("range_rmse"))
+    assert output.metadata["undefined"] == 0 and all(check.passed for check in output.checks)
+    assert "raw intensity_rmse: no return of the recorded scan" in str(
+        output.metadata["not_measured_reasons"]
+    )
 
 
 def test_a_rendered_frame_that_was_never_recorded_is_an_error(tmp_path: Path) -> None:

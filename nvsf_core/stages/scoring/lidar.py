@@ -11,7 +11,7 @@ from nvsf_core.geometry.se3 import transform_points
 from nvsf_core.metrics.foreground import lidar4d_regions, masked_range_regions, masked_regions
 from nvsf_core.metrics.hit import hit_columns
 from nvsf_core.metrics.lpips import Lpips
-from nvsf_core.metrics.measure import Measure
+from nvsf_core.metrics.measure import Measure, absent
 from nvsf_core.metrics.protocols import PanoImage, RenderedRays, Scan, lidar4d, project_scan, raw
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.sensors.linear_pano import LinearPano
@@ -25,6 +25,7 @@ _PREDICTED = (
     "frame", "offsets", "points_m", "intensity", "laser", "pano_range_m", "pano_intensity", "pano_hit",
     "ray_offsets", "ray_range_m", "ray_intensity", "lidar_render_seconds",
 )  # fmt: skip
+_NO_INTENSITY = absent("no return of the recorded scan has an intensity above 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +116,8 @@ def measure_lidar(
             masked = masked_regions(predicted, rendered, truth, truth_rays, recording.hit_shape, here)
             ranges = masked_range_regions(image, true_image, pano, here)
             found |= {("masked", region): {**masked[region], **ranges[region]} for region in masked}
+        if truth.intensity.size and not (truth.intensity > 0.0).any():
+            found = {place: _without_intensities(measures) for place, measures in found.items()}
         seconds = float(a["lidar_render_seconds"][i])
         for (protocol, region), measures in found.items():
             ledger.add(
@@ -139,6 +142,11 @@ def recorded_range_errors(path: Path, recording: RecordedScans) -> tuple[int, np
     truth, rays = recording.scan(frame)
     error_m = np.abs(a["ray_range_m"][part(a["ray_offsets"], row)].astype(np.float64) - rays.range_m)
     return frame, truth.points_m, error_m
+
+
+def _without_intensities(measures: Mapping[str, Measure]) -> dict[str, Measure]:
+    """The same of a sensor that records none: a prediction of none is no merit, and its likeness no fault."""
+    return {name: _NO_INTENSITY if name.startswith("intensity_") else one for name, one in measures.items()}
 
 
 def part(offsets: np.ndarray, i: int) -> slice:
