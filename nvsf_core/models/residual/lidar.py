@@ -1,5 +1,6 @@
 """The LiDAR field of the residual family: its rays, its training, and its comparison with `reproject`."""
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -38,6 +39,9 @@ from nvsf_core.training.loop import Part, Step, fresh_state
 
 SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on the validation scans."""
+_EPOCHS, _RAYS_AN_EPOCH = 2.5, 660_000
+"""How often a ray is learned from at most: 2.5 times, or once for each so many rays if that is more. A field
+that sees few rays again and again learns them by heart, most of all which of them dropped (docs/lean.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,6 +269,12 @@ def _depth(rendered: LidarRender, batch: LidarBatch) -> Tensor:
     return torch.where(batch.meets_object, surface_likelihood(*of_returns), off_m)
 
 
+def enough_steps(recipe: ResidualRecipe, rays: int) -> int:
+    """Steps to train on so many rays: the recipe's, or fewer where these are few."""
+    spec, epochs = recipe.lidar_training, max(_EPOCHS, rays / _RAYS_AN_EPOCH)
+    return min(spec.steps, math.ceil(epochs * rays / spec.rays))
+
+
 def train_lidar(
     session: TrainingSession, field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording
 ) -> TrainedPart:
@@ -276,8 +286,9 @@ def train_lidar(
         recipe: Of the scene.
         lidar: The recording.
     """
-    started, spec = time.perf_counter(), recipe.lidar_training
+    started = time.perf_counter()
     rays = training_rays(lidar, recipe, field)
+    spec = replace(recipe.lidar_training, steps=enough_steps(recipe, len(rays)))
     state = fresh_state(field.to(training_device()), spec, session.seed * 2)
     preparation = time.perf_counter() - started
     order = Epochs(len(rays), session.seed)
@@ -290,7 +301,8 @@ def train_lidar(
     session.say("lidar", f"shows {verdict['lidar_shows']}")
     return TrainedPart(
         states={"lidar": state}, preparation_seconds=preparation,
-        metadata={"training_rays": len(rays), **verdict}, facts={SHOWS_FIELD: shows_field},
+        metadata={"training_rays": len(rays), "lidar_steps": spec.steps, **verdict},
+        facts={SHOWS_FIELD: shows_field},
     )  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 """A LiDAR field that learned nothing good is not shown: left-out scans say so, through the real stages."""
 
+import math
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.models.residual.family import make_fields
-from nvsf_core.models.residual.lidar import SHOWS_FIELD, choose
+from nvsf_core.models.residual.lidar import SHOWS_FIELD, choose, enough_steps
 from nvsf_core.recipe import FieldSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.rendering.rendered import RenderedRays
@@ -68,6 +69,17 @@ def broken(tmp_path_factory: pytest.TempPathFactory) -> Judged:
     recording = read_recording(run.store)
     assert recording.lidar is not None
     return Judged(outcome, recording, recording.lidar)
+
+
+def test_few_rays_are_not_learned_by_heart() -> None:
+    quick, lean = preset("quick"), preset("lean")
+    assert isinstance(quick, ResidualRecipe) and isinstance(lean, ResidualRecipe)
+    streets = (3_302_384, 3_610_591)
+    for recipe in (quick, lean):
+        assert {enough_steps(recipe, rays) for rays in streets} == {recipe.lidar_training.steps}
+        assert enough_steps(recipe, 380_160) == 233 == math.ceil(2.5 * 380_160 / 4096)
+        assert enough_steps(recipe, 1) == 1
+    assert enough_steps(quick, 1_800_000) == 850 < enough_steps(lean, 1_800_000) < 2.8 * 1_800_000 / 4096
 
 
 def test_a_field_that_does_not_beat_reproject_is_replaced_by_it_and_that_is_said(broken: Judged) -> None:
