@@ -21,6 +21,7 @@ from nvsf_core.reporting.tables import (
     headline_columns,
     headline_table,
     methods_of,
+    over_seeds,
     wins,
 )
 from nvsf_core.reporting.trust import trust_section
@@ -126,13 +127,15 @@ def _summary(scenes: Sequence[SceneOutputs], measured: Sequence[SceneOutputs], n
             shown, seed = (f"<b>{recipe}</b>", str(run.seed)) if learned else (recipe, "")
             link = f'<a href="#{escape(scene.name)}">{escape(scene.name)}</a>' if position == 0 else ""
             source = [_commit(run), f"{run.measured:%Y-%m-%d %H:%M}"]
-            lines.append([link, shown, seed, *cells, train, f"{best[name]} of {columns}", *source])
+            count = f"{best[mine[0]['recipe']]} of {columns}"
+            lines.append([link, shown, seed, *cells, train, count, *source])
     if lines:
         parts.append(plain_table(head, lines, words=(0, 1)))
         parts.append(
             '<p class="soft">Means over the held-out frames; LiDAR by the protocol'
             " <code>lidar4d_scan</code>, images by <code>image</code>, mean over the cameras. “Best in”"
-            " counts the main numbers of a scene in which a method is the best one.</p>"
+            " counts the main numbers of a scene in which a method is the best one; a recipe’s are means over"
+            " its seeds, so that each of its rows has the same count.</p>"
             '<p class="soft">The page holds <b>everything that was measured in this folder</b>, not only the'
             " last run; runs at other held-out frames than a scene’s newest are only named in its section."
             " A trained model’s row is named by its recipe (what was trained, and how long) and"
@@ -282,18 +285,20 @@ def _scene(scene: SceneOutputs) -> str:
 
 
 def _verdict(rows: Sequence[Row]) -> str:
-    """One sentence: which model is best in how many of the main numbers."""
+    """One sentence: which recipe is best in how many of the main numbers."""
     count = wins(rows)
     total = sum(column.higher_is_better is not None for column in headline_columns(rows))
-    models = [name for name, _, learned in methods_of(rows) if learned]
+    models = [name for name, _, learned in methods_of(over_seeds(rows)) if learned]
     if not models or not total:
         return ""
     best = max(models, key=lambda name: count[name])
+    seeds = len({row["seed"] for row in rows if row["recipe"] == best})
+    mean = f" (mean of {seeds} seeds)" if seeds > 1 else ""
     others = ", ".join(f"{escape(name)} in {wins_}" for name, wins_ in count.items() if name != best)
     css = "good" if count[best] > total / 2 else ""
     return (
-        f'<div class="note {css}"><b>{escape(best)}</b> is best in {count[best]} of {total} main numbers at'
-        f" the held-out frames ({others}).</div>"
+        f'<div class="note {css}"><b>{escape(best)}</b>{mean} is best in {count[best]} of {total} main'
+        f" numbers at the held-out frames ({others}).</div>"
     )
 
 

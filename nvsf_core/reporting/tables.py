@@ -156,13 +156,33 @@ def view_table(rows: Sequence[Row], view: str) -> str:
 
 
 def wins(rows: Sequence[Row]) -> dict[str, int]:
-    """Number of headline errors in which each method is best; a tie counts for each of them."""
+    """Number of headline errors in which each recipe and baseline is best; a tie counts for each of them.
+
+    Of a recipe with several seeds the mean over them counts: the best of them is partly luck.
+    """
+    rows = over_seeds(rows)
     methods = [name for name, _, _ in methods_of(rows)]
     count = dict.fromkeys(methods, 0)
     for column in headline_columns(rows):
         for row in best_rows(column):
             count[methods[row]] += 1
     return count
+
+
+def over_seeds(rows: Sequence[Row]) -> list[Row]:
+    """Rows of recipes instead of runs: means over their seeds."""
+    keys = ("split", "protocol", "region", "sensor", "metric", "recipe")
+    seeds: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        seeds.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return [_mean_of_seeds(of_recipe) for of_recipe in seeds.values()]
+
+
+def _mean_of_seeds(rows: Sequence[Row]) -> Row:
+    """One number of a recipe; it is over the frames of the seed that has fewest."""
+    value = sum(row["value"] for row in rows) / len(rows)
+    fewest = min(row["n_defined"] for row in rows)
+    return {**rows[0], "method": rows[0]["recipe"], "value": value, "n_defined": fewest}
 
 
 def _column(

@@ -14,6 +14,7 @@ import pytest
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.errors import StoreError
 from nvsf_core.metrics.table import COLUMNS, UNITS
+from nvsf_core.reporting.html import higher_is_better as is_likeness
 from nvsf_core.reporting.scan_page.page import MOST_BYTES
 from nvsf_core.reporting.scene_notes import holds_paper_scene
 from nvsf_core.stages import benchmark_report
@@ -162,6 +163,27 @@ def test_recipes_and_seeds_stand_beside_each_other_and_baselines_once(tmp_path: 
         assert label in text
     table = page[page.index("Error beside time") :].split("</table>")[0]
     assert table.count(">copy_nearest</td>") == 1
+
+
+def test_a_recipe_is_the_best_by_the_mean_over_its_seeds_not_by_the_luckiest_of_them(tmp_path: Path) -> None:
+    # All errors of `smoke` are 0.03; those of the seeds of `quick` are 0.02 and 0.08.
+    for recipe, seed, worse_by in (("smoke", 0, 0.0), ("quick", 0, -0.01), ("quick", 1, 0.05)):
+        path = write_street(tmp_path, "street", recipe=recipe, seed=seed).path(
+            f"scene_metrics/{recipe}/{seed}"
+        )
+        rows = [
+            row | {"value": row["value"] + (-worse_by if is_likeness(row["metric"]) else worse_by)}
+            if row["recipe"] == recipe
+            else row
+            for row in read_rows(path / "metrics.parquet")
+        ]
+        write_rows(path / "metrics.parquet", rows, COLUMNS)
+    page, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
+    assert "smoke is best in 9 of 9 main numbers at the held-out frames (quick in 0, reproject" in text
+    summary = page[page.index("All scenes") :].split("</table>")[0]
+    assert re.findall(r"<b>(\w+)</b></td><td>(\d)</td>.*?(\d of 9)", summary) == [
+        ("quick", "0", "0 of 9"), ("quick", "1", "0 of 9"), ("smoke", "0", "9 of 9"),
+    ]  # fmt: skip
 
 
 def test_a_run_at_other_held_out_frames_is_named_and_compared_with_nothing(tmp_path: Path) -> None:
