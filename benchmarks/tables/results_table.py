@@ -9,6 +9,7 @@ again.
 import json
 import math
 import os
+import statistics
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -23,6 +24,7 @@ from benchmarks.tables.targets import OTHER
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
 from nvsf_core.reporting.measured_against import measured_against
+from nvsf_core.reporting.stage_record import StageRecord, record_of
 from nvsf_core.stages.benchmark_report import stage_records
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.record import made_s
@@ -58,14 +60,16 @@ def collect(home: Path) -> dict[str, list[Row]]:
         means = mean_rows(measured)
         recipe, of_seed = path.parts[-3:-1]
         records = stage_records(path.parents[3])
-        views = dict(measured_against(records, recipe, of_seed, measured).views)
+        shared = {
+            "machine": _machine(record_of(records, "scene_metrics", recipe, of_seed)),
+            "views": dict(measured_against(records, recipe, of_seed, measured).views),
+        }
         for scene, method, seed in dict.fromkeys((m["scene"], m["recipe"], m["seed"]) for m in means):
             mine = [m for m in means if m["recipe"] == method]
             about = {"scene": scene, "method": method, "seed": seed, "commit": measured[0]["commit"]}
-            about["views"] = views
             # A baseline has no seed: it was measured beside each.
             file, own = (_BASELINES, {"seed": 0}) if method in BASELINES else (recipe, {})
-            found.setdefault(file, []).append(about | own | _costs(mine) | _errors(mine))
+            found.setdefault(file, []).append(about | own | _costs(mine) | shared | _errors(mine))
     return found
 
 
@@ -121,16 +125,27 @@ def write(home: Path, root: Path) -> str:
     return table
 
 
+def _machine(record: StageRecord | None) -> str:
+    """Where a run was measured; records of before say nothing, then it is taken for this machine."""
+    measured_on = None if record is None else record.metadata.get("machine")
+    return machine() if measured_on is None else str(measured_on)
+
+
 def _costs(means: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """What a method took, and how many frames say so."""
-    held_out = {row["protocol"]: row for row in means if row["split"] == HELD_OUT}
+    """What a method took, of images the mean over its cameras, and how many frames say so."""
+    held_out = [row for row in means if row["split"] == HELD_OUT]
     costs = {name: means[0][name] for name in ("train_seconds", "parameters", "model_mb")}
     return costs | {
-        "render_seconds": held_out.get(_SCAN, {}).get("render_seconds"),
-        "image_seconds": held_out.get(_IMAGE, {}).get("render_seconds"),
-        "frames": max((row["n_frames"] for row in held_out.values()), default=0),
-        "machine": machine(),
+        "render_seconds": _seconds(held_out, _SCAN),
+        "image_seconds": _seconds(held_out, _IMAGE),
+        "frames": max((row["n_frames"] for row in held_out), default=0),
     }
+
+
+def _seconds(held_out: Iterable[dict[str, Any]], protocol: str) -> float | None:
+    """Seconds to render a frame, mean over the sensors of a protocol; None if it has none."""
+    of_sensor = {row["sensor"]: row["render_seconds"] for row in held_out if row["protocol"] == protocol}
+    return statistics.fmean(of_sensor.values()) if of_sensor else None
 
 
 def _errors(means: Iterable[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:

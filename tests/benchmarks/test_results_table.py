@@ -75,6 +75,20 @@ def test_the_readme_holds_the_table_between_its_marks_and_nothing_else_changes(t
     assert "| `street` | `mesh` |  | 0.090 |" in table
 
 
+def test_an_images_seconds_are_of_all_cameras_and_the_machine_is_the_one_that_measured(tmp_path):
+    root, home = _root(tmp_path / "checkout"), tmp_path / "home"
+    path = write_street(home, "street").path("scene_metrics/quick/0") / "metrics.parquet"
+    rows = read_rows(path)
+    images = [row for row in rows if row["protocol"] == "image"]
+    wide = [row | {"sensor": "image_01", "render_seconds": 3.2} for row in images]
+    write_rows(path, [*rows, *wide], COLUMNS)
+    write(home, root)
+    (row,) = _rows(root, "quick")
+    assert (row["image_seconds"], row["render_seconds"], row["frames"]) == (2.2, 0.4, 2)
+    assert row["machine"] == "a machine of 2 cores"
+    assert "Machine: a machine of 2 cores." in (root / "docs" / "results.md").read_text()
+
+
 def test_seeds_are_shown_as_mean_and_spread_and_a_baseline_once(tmp_path):
     write_street(tmp_path / "home", "street")
     root = _root(tmp_path / "checkout")
