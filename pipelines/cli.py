@@ -22,7 +22,13 @@ _recipe_option = click.option(
     help="Preset; default: the catalogue's choice, else lean.",
 )  # fmt: skip
 _seed_option = click.option(
-    "--seed", default=0, envvar="SEED", show_envvar=True, show_default=True, help="Of training."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    envvar="SEED",
+    show_envvar=True,
+    show_default=True,
+    help="Of training.",
 )
 
 

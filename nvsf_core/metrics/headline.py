@@ -53,10 +53,11 @@ def headline(rows: Sequence[Mapping[str, Any]]) -> str:
         sign, word = (1.0 if higher else -1.0), heading.split()[0]
         measured = {name: of[metric] for name, of in means.items() if metric in of}
         measured = {name: mean for name, mean in measured.items() if not math.isnan(mean.value)}
-        if model not in measured or len(measured) == 1:
+        if metric not in means[model] or not measured.keys() - {model}:
             continue
         whole = over_most_frames({name: mean.n_defined for name, mean in measured.items()})
-        mine = sign * measured[model].value
+        # What is measured of the baselines alone, the model gave in no frame.
+        mine = sign * measured[model].value if model in measured else -math.inf
         others = {name: sign * measured[name].value for name in measured if name in whole - {model}}
         best = max(others, key=lambda name: others[name], default=None)
         if best is not None and mine < others[best]:

@@ -85,14 +85,17 @@ def damage_at_rest(store: SceneStore, version: Version, progress: Progress) -> s
         version: The version.
         progress: Told every few seconds of waiting.
     """
-    if damage_of_version(version) is None:
+    damage = damage_of_version(version)
+    if damage is None:
         return None
-    with contextlib.ExitStack() as held:
+    # In a home that cannot be written, as an archive, nobody makes a lock, and nobody writes.
+    with contextlib.suppress(OSError), contextlib.ExitStack() as held:
         # Of runs of the stage `dataset`, by their indices, and of `nvsf view`, by the versions.
         for path in sorted(versions_lock(store).with_suffix("").rglob("*.lock")):
             words = f"data sets of {store.scene}, which another run writes"
             held.enter_context(file_lock(path, progress, words, shared=True))
         return damage_of_version(version)
+    return damage
 
 
 def make_anew(scene: SceneEntry, home: Path, version: Version, progress: Progress) -> bool:

@@ -36,7 +36,7 @@ def test_it_fits_a_terminal_of_eighty_columns() -> None:
 
 
 def test_what_nobody_measured_is_neither_won_nor_lost() -> None:
-    rows = [_row(recipe="quick", value=math.nan), _row(recipe="reproject", value=0.1)]
+    rows = [_row(recipe="quick", value=math.nan), _row(recipe="reproject", value=math.nan)]
     assert headline(rows).splitlines()[0] == "demo: quick beats every baseline in nothing"
     assert headline([_row(recipe="reproject")]) == "" and headline([]) == ""
 
@@ -67,6 +67,8 @@ def test_who_gives_nothing_in_a_hard_frame_is_neither_better_nor_hides_who_is() 
     model = headline(rows(quick=(0.1, math.nan), mesh=(0.2, 4.0)))
     assert model.splitlines()[0] == "demo: quick beats every baseline in nothing"
     assert "mesh is better" not in model
+    nothing = headline(rows(quick=(math.nan, math.nan), mesh=(0.2, 4.0)))
+    assert "mesh is better in CD" in nothing
 
 
 def test_images_off_the_path_stand_beside_the_best_baselines() -> None:

@@ -11,8 +11,11 @@ import numpy as np
 
 from nvsf_core.errors import ShapeError
 
-_NEAR_M, _FAR_M = 3.0, 50.0
-"""Nearer is the own vehicle; from farther away, a surface that returned to one place may not to another."""
+_NEAR_M = 3.0
+"""Nearer is the own vehicle."""
+_FAR_M, _SURELY = 50.0, 0.9
+"""From farther away, or near the end of the sensor's range, a surface that returned to one place may not to
+another."""
 _BESIDE_RAD = np.deg2rad(0.3)
 """A recorded return farther than this above or below all lasers proves nothing about their rays."""
 _LEAST_PROVEN = 100
@@ -20,7 +23,12 @@ _LEAST_PROVEN = 100
 
 
 def missing_share(
-    azimuth_rad: np.ndarray, laser_rad: np.ndarray, returned: np.ndarray, recorded_m: Sequence[np.ndarray]
+    azimuth_rad: np.ndarray,
+    laser_rad: np.ndarray,
+    returned: np.ndarray,
+    recorded_m: Sequence[np.ndarray],
+    *,
+    max_range_m: float,
 ) -> float:
     """Share of the rays that all recorded scans prove to return which do not; NaN if too few are proven.
 
@@ -32,6 +40,7 @@ def missing_share(
         laser_rad: (L,) elevations of the lasers there.
         returned: (L, F) bool.
         recorded_m: Returns (n, 3) of each recorded scan, in the frame of the scan in question.
+        max_range_m: Of the sensor: it does not answer from beyond.
 
     Raises:
         ShapeError: The shapes do not belong together.
@@ -47,15 +56,15 @@ def missing_share(
     proven[row, column] = True
     answered[row[returned], column[returned]] = True
     for points_m in recorded_m:
-        proven &= _cells_of(points_m, laser_rad, returned.shape[1])
+        proven &= _cells_of(points_m, laser_rad, returned.shape[1], min(_FAR_M, _SURELY * max_range_m))
     count = int(proven.sum())
     return float((proven & ~answered).sum() / count) if count >= _LEAST_PROVEN else float("nan")
 
 
-def _cells_of(points_m: np.ndarray, laser_rad: np.ndarray, firings: int) -> np.ndarray:
+def _cells_of(points_m: np.ndarray, laser_rad: np.ndarray, firings: int, far_m: float) -> np.ndarray:
     """(L, F) bool: cells with a return (n, 3), by the nearest of the lasers' elevations (L,)."""
     range_m = np.linalg.norm(points_m, axis=1)
-    kept = (range_m > _NEAR_M) & (range_m < _FAR_M)
+    kept = (range_m > _NEAR_M) & (range_m < far_m)
     x, y, z = points_m[kept].T
     elevation_rad = np.arcsin(z / range_m[kept])
     order = np.argsort(laser_rad)

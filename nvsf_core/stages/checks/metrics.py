@@ -66,12 +66,15 @@ def _better(rows: Sequence[Row]) -> Check:
     means = [
         row for row in mean_rows(rows)
         if (row["split"], row["region"]) == (HELD_OUT, "all")
-        and row["metric"] in HEADLINES[row["protocol"]] and not math.isnan(row["value"])
+        and row["metric"] in HEADLINES[row["protocol"]]
     ]  # fmt: skip
     key = ("protocol", "sensor", "metric")
     copied = {tuple(row[k] for k in key): row for row in means if row["recipe"] == _COPY}
     compared = [(tuple(row[k] for k in key), row) for row in means if row["recipe"] not in BASELINES]
-    compared = [(number, row) for number, row in compared if number in copied]
+    compared = [
+        (number, row) for number, row in compared
+        if number in copied and max(row["n_defined"], copied[number]["n_defined"]) > 0
+    ]  # fmt: skip
     if not compared:
         return BETTER.not_run("no number of both the model and a copy of the nearest recording")
     worse = [number for number, row in compared if _is_worse(row, copied[number])]

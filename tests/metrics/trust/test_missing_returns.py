@@ -22,7 +22,7 @@ def _wall(sensor_m: tuple[float, float, float]) -> np.ndarray:
 
 
 def _share(returned: np.ndarray, elevation_deg: np.ndarray, sensor_m=(0.0, 0.0, 0.0)) -> float:
-    return missing_share(*_rays(elevation_deg), returned, [_wall(sensor_m)] * 2)
+    return missing_share(*_rays(elevation_deg), returned, [_wall(sensor_m)] * 2, max_range_m=100.0)
 
 
 @pytest.mark.parametrize("elevation_deg", [np.linspace(4.0, -8.0, 40), np.linspace(6.0, -6.0, 7)])
@@ -43,11 +43,19 @@ def test_a_ray_that_only_one_scan_answered_or_none_is_not_missing() -> None:
     half = wall[wall[:, 1] > 0.0]
     left = whole.copy()
     left[_rays(elevation_deg)[0] < 0.0] = False
-    assert missing_share(*_rays(elevation_deg), left, [wall, half]) < 0.005
-    assert np.isnan(missing_share(*_rays(elevation_deg), none, [wall, wall[:0]]))
-    assert np.isnan(missing_share(*_rays(elevation_deg), none, []))
+    assert missing_share(*_rays(elevation_deg), left, [wall, half], max_range_m=100.0) < 0.005
+    assert np.isnan(missing_share(*_rays(elevation_deg), none, [wall, wall[:0]], max_range_m=100.0))
+    assert np.isnan(missing_share(*_rays(elevation_deg), none, [], max_range_m=100.0))
+
+
+def test_a_sensor_of_short_range_misses_nothing_that_lies_beyond() -> None:
+    elevation_deg = np.linspace(4.0, -8.0, 40)
+    none = np.zeros((40, FIRINGS), bool)
+    wall = [_wall((0.0, 0.0, 0.0))] * 2
+    assert np.isnan(missing_share(*_rays(elevation_deg), none, wall, max_range_m=10.0))
+    assert missing_share(*_rays(elevation_deg), none, wall, max_range_m=20.0) == 1.0
 
 
 def test_shapes_that_do_not_belong_together_are_refused() -> None:
     with pytest.raises(ShapeError, match=r"azimuths and returns \(L, F\)"):
-        missing_share(np.zeros((2, 3)), np.zeros(2), np.zeros((2, 4), bool), [])
+        missing_share(np.zeros((2, 3)), np.zeros(2), np.zeros((2, 4), bool), [], max_range_m=100.0)

@@ -313,6 +313,11 @@ def test_a_model_that_gives_nothing_in_a_frame_of_the_copy_is_worse_and_a_copy_s
     outcome = run_named_stage("scene_metrics", run, str, stages=[_metrics_stage(rows)])
     (check,) = [one for one in outcome.checks if one.name == "model_is_better_than_copying"]
     assert check.detail == "worse in 1 of 2 main numbers: raw lidar chamfer_m2"
+    rows = [row | {"value": np.nan} if row["recipe"] == "smoke" else row for row in rows]
+    shutil.rmtree(store.path("scene_metrics"))
+    outcome = run_named_stage("scene_metrics", run, str, stages=[_metrics_stage(rows)])
+    (check,) = [one for one in outcome.checks if one.name == "model_is_better_than_copying"]
+    assert "worse in 2 of 2 main numbers" in check.detail
 
 
 def test_an_output_made_before_its_check_is_judged_and_not_made_again(store):

@@ -189,6 +189,16 @@ def test_what_would_be_made_again_and_what_is_damaged_is_said(copy: Path, tiny_c
     assert found["undistorted"].verdict is Verdict.ABSENT
 
 
+def test_damage_is_said_where_no_lock_can_be_made(copy: Path, tiny_catalogue: Path) -> None:
+    """As in an archive that cannot be written."""
+    run = plan_run(_entry(tiny_catalogue, copy), copy / "home", recipe="smoke")
+    (copy / "home/tiny/pano/pano.zarr/zarr.json").write_bytes(b"1")
+    shutil.rmtree(copy / "home" / LOCKS)
+    (copy / "home" / LOCKS).write_text("no folder")
+    found = {one.stage: one.verdict for one in verify_scene(run, PREPARED)}
+    assert found.pop("pano") is Verdict.DAMAGED and set(found.values()) == {Verdict.UP_TO_DATE}
+
+
 def test_an_output_that_a_run_replaces_while_it_is_verified_is_no_damage(
     copy: Path, tiny_catalogue: Path
 ) -> None:

@@ -316,7 +316,8 @@ def _missing(a: Mapping[str, Any], i: int, table: LaserTable, recorded: Recorded
     shown = met.any(axis=1)
     laser_rad[shown] = np.nanmedian(np.where(met, elevation_rad, np.nan)[shown], axis=1)
     near_by_m = recorded.returns_seen_from(a["lidar_to_world"][i])
-    return missing_share(azimuth_rad, laser_rad, rays_return(hit) & met, near_by_m)
+    returned = rays_return(hit) & met
+    return missing_share(azimuth_rad, laser_rad, returned, near_by_m, max_range_m=table.max_range_m)
 
 
 def _rendered_grid(a: Mapping[str, Any], i: int, firings: int) -> ScanGrid:
