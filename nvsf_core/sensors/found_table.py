@@ -68,22 +68,23 @@ class _Line(NamedTuple):
     """Whether the ranges differ enough to tell the lever arm."""
 
 
-def find_table(scans: Scans) -> FoundTable:
+def find_table(scans: Scans, others: Scans = ()) -> FoundTable:
     """The table of lasers that recorded these scans.
 
     Args:
         scans: Some scans of one drive, in file order.
+        others: More of its scans, asked for the rings that have few returns in those.
 
     Raises:
         DataError: There are no lasers to be separated; the message says what was tried.
     """
-    groups, words = _told_apart(scans)
+    groups, words, sparse = _told_apart(scans, others)
     or_ring = "" if _has_rings(scans) else ", or give each point its `ring`"
     advice = f"name the sensor (`lidar` of the scene){or_ring}"
     if not groups:
         raise DataError(
             f"lasers: {words}: expected {_FEWEST_RETURNS} returns of a laser beyond {_NEAREST_M:g} m in "
-            f"{len(scans)} scans, found none with as many; {advice}"
+            f"{len(scans) + len(others)} scans, found none with as many; {advice}"
         )
     lines = _lines(groups)
     good = [k for k, one in enumerate(lines) if one.spread_rad <= _SPREAD_RAD]
@@ -94,20 +95,25 @@ def find_table(scans: Scans) -> FoundTable:
             f"If so, {advice}"
         )
     order = sorted(good, key=lambda k: -lines[k].elevation_rad)
-    left_out = len(groups) - len(order)
+    left_out = len(groups) - len(order) + sparse
+    # A ring of too few returns is no laser here: its returns are not asked for one.
+    far_of = groups if _has_rings(scans) else [points_m for points_m, _ in scans]
     groups, lines = [groups[k] for k in order], [lines[k] for k in order]
-    fitting = _fitting(scans, lines)
+    fitting = _fitting(far_of, lines)
     if fitting < _LEAST_FITTING:
         raise DataError(
             f"lasers: {words}, found {len(groups)}, but {fitting:.0%} of the far returns lie on one of them, "
             f"expected {_LEAST_FITTING:.0%}; {advice}"
         )
     steps, peak, arms_m, phases = _lattice(groups)
-    firings = _firings(groups, len(scans))
+    here = [points_m[points_m[:, 3] < len(scans)] for points_m in groups]
+    firings = _firings(here, len(scans))
     is_lattice = peak >= _LATTICE_PEAK
     if not is_lattice:
         steps, arms_m, phases = firings, np.zeros(len(groups)), np.zeros(len(groups))
-    shifts = _shifts(groups, steps, arms_m, phases) if is_lattice else np.zeros(len(groups), np.int64)
+    shifts = np.zeros(len(groups), np.int64)
+    if is_lattice:
+        shifts = _shifts(here, len(scans), steps, arms_m, phases)
     farthest_m = max(float(np.linalg.norm(points_m[:, :3], axis=1).max()) for points_m in groups)
     table = LaserTable(
         name=f"found-{len(groups)}",
@@ -137,9 +143,9 @@ def find_table(scans: Scans) -> FoundTable:
     return FoundTable(table, evidence)
 
 
-def _fitting(scans: Scans, lines: Sequence[_Line]) -> float:
-    """Share of the far returns within 0.15 degrees of a laser's line."""
-    found = [_elevation(points_m) for points_m, _ in scans]
+def _fitting(clouds: Sequence[np.ndarray], lines: Sequence[_Line]) -> float:
+    """Share of the clouds' far returns within 0.15 degrees of a laser's line."""
+    found = [_elevation(points_m) for points_m in clouds]
     elevation, range_m = (np.concatenate(parts) for parts in zip(*found, strict=True))
     far = range_m > _FAR_M
     off = np.full(int(far.sum()), np.inf)
@@ -152,21 +158,17 @@ def _has_rings(scans: Scans) -> bool:
     return all(ring is not None for _, ring in scans)
 
 
-def _told_apart(scans: Scans) -> tuple[list[np.ndarray], str]:
-    """What `_grouped` gives, and how lasers were separated."""
+def _told_apart(scans: Scans, others: Scans) -> tuple[list[np.ndarray], str, int]:
+    """What `_grouped` gives, how lasers were separated, and the rings left out for their few returns."""
     if _has_rings(scans):
-        rings = [np.asarray(ring) for _, ring in scans]
-        groups = _grouped(scans, rings)
-        sparse = len(np.unique(np.concatenate(rings))) - len(groups)
-        said = f", {sparse} with fewer than {_FEWEST_RETURNS} returns each" if sparse else ""
-        return groups, f"separated by their `ring`{said}"
+        return _by_ring(scans, [(points_m, ring) for points_m, ring in others if ring is not None])
     turns = [_turns(points_m) for points_m, _ in scans]
     counts = {int(turn.max(initial=-1)) + 1 for turn in turns}
     if len(counts) == 1 and 2 <= max(counts) <= _MOST_LASERS:
-        groups = _grouped(scans, turns)
+        groups = _full(_grouped(scans, turns))
         spreads = [one.spread_rad for one in _lines(groups)]
         if groups and np.mean(np.array(spreads) <= _SPREAD_RAD) > 0.5:
-            return groups, "separated by the file's order, one rotation each"
+            return groups, "separated by the file's order, one rotation each", 0
     bands, labels = _bands(scans), []
     if not 2 <= len(bands) - 1 <= _MOST_LASERS:
         raise DataError(
@@ -177,18 +179,44 @@ def _told_apart(scans: Scans) -> tuple[list[np.ndarray], str]:
         elevation, range_m = _elevation(points_m)
         band = np.searchsorted(bands, elevation) - 1
         labels.append(np.where((range_m > _FAR_M) & (band >= 0) & (band < len(bands) - 1), band, -1))
-    return _grouped(scans, labels), "separated by gaps between their elevations"
+    return _full(_grouped(scans, labels)), "separated by gaps between their elevations", 0
 
 
-def _grouped(scans: Scans, labels: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """(N, 4) float64 of each laser: its points, metres, and the scan that each is of."""
+def _by_ring(
+    scans: Scans, others: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> tuple[list[np.ndarray], str, int]:
+    """As `_told_apart`; a ring of few returns in the scans has those of the others, too, numbered on."""
+    rings = [np.asarray(ring) for _, ring in scans]
+    groups = _grouped(scans, rings)
+    full = [ring for ring, rows in groups.items() if len(rows) >= _FEWEST_RETURNS]
+    few = []
+    for points_m, ring in others:
+        is_few = ~np.isin(ring, full)
+        few.append((points_m[is_few], ring[is_few]))
+    rings += [ring for _, ring in few]
+    if any(len(ring) for _, ring in few):
+        groups = _grouped([*scans, *few], rings)
+    found = _full(groups)
+    sparse = len(np.unique(np.concatenate(rings))) - len(found)
+    said = f", {len(found) - len(full)} of them in all {len(rings)} scans" if len(found) > len(full) else ""
+    if sparse:
+        said += f", {sparse} with fewer than {_FEWEST_RETURNS} returns each"
+    return found, f"separated by their `ring`{said}", sparse
+
+
+def _full(groups: dict[int, np.ndarray]) -> list[np.ndarray]:
+    """The groups with enough returns for a laser."""
+    return [group for group in groups.values() if len(group) >= _FEWEST_RETURNS]
+
+
+def _grouped(scans: Scans, labels: Sequence[np.ndarray]) -> dict[int, np.ndarray]:
+    """(N, 4) float64 of each label, from 0 on: its points, metres, and the scan that each is of."""
     points_m = np.concatenate([points for points, _ in scans]).astype(np.float64)
     scan = np.repeat(np.arange(len(scans)), [len(points) for points, _ in scans])
     label = np.concatenate(labels)
     kept = (np.linalg.norm(points_m, axis=1) > _NEAREST_M) & (label >= 0)
     rows, label = np.column_stack([points_m, scan])[kept], label[kept]
-    groups = [rows[label == one] for one in np.unique(label)]
-    return [group for group in groups if len(group) >= _FEWEST_RETURNS]
+    return {int(one): rows[label == one] for one in np.unique(label)}
 
 
 def _turns(points_m: np.ndarray) -> np.ndarray:
@@ -303,9 +331,10 @@ def _firings(groups: Sequence[np.ndarray], n_scans: int) -> int:
     return max(1, round(float(np.percentile(counts, 98))))
 
 
-def _shifts(groups: Sequence[np.ndarray], steps: int, arms_m: np.ndarray, phases: np.ndarray) -> np.ndarray:
+def _shifts(
+    groups: Sequence[np.ndarray], n_scans: int, steps: int, arms_m: np.ndarray, phases: np.ndarray
+) -> np.ndarray:
     """(L,) int64 steps between each laser's columns and those of the fullest laser that fire together."""
-    n_scans = 1 + int(max(points_m[:, 3].max() for points_m in groups))
     pattern = []
     for points_m, arm_m, phase in zip(groups, arms_m, phases, strict=True):
         azimuth, rho_m = _flat(points_m)

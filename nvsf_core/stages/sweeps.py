@@ -119,28 +119,36 @@ def _read_scans(
 
 def _table(sensor: str, scans: list[Scan], is_assumed: bool) -> tuple[LaserTable, str]:
     """The table of the sensor of that name, or found from some training scans, with the evidence."""
-    chosen = scans[:: max(1, len(scans) // _FINDING_SCANS)][:_FINDING_SCANS]
     if sensor == SENSOR.name or not scans:
-        return _of_another(chosen) if is_assumed else (SENSOR, "")
+        return _of_another(scans) if is_assumed else (SENSOR, "")
     if sensor in SENSOR_TABLES:
         return sensor_table(sensor), ""
-    made = _found(chosen)
+    made = _found(scans)
     return made.table, f"found from the scans: {made.evidence}; "
 
 
-def _of_another(chosen: list[Scan]) -> tuple[LaserTable, str]:
+def _of_another(scans: list[Scan]) -> tuple[LaserTable, str]:
     """The assumed sensor's table, or a found one where most of the scans are not of that sensor."""
-    if not is_unlike(SENSOR, [one.points[:, :3] for one in chosen]):
+    if not is_unlike(SENSOR, [one.points[:, :3] for one in scans[_finding(scans)]]):
         return SENSOR, ""
     try:
-        made = _found(chosen)
+        made = _found(scans)
     except DataError:
         return SENSOR, ""  # the check `lasers_are_known` says that they are not
     return made.table, f"not of an {SENSOR.name}, found from the scans: {made.evidence}; "
 
 
-def _found(chosen: list[Scan]) -> FoundTable:
-    return find_table([(one.points[:, :3], one.ring) for one in chosen])
+def _found(scans: list[Scan]) -> FoundTable:
+    """The table found from some of the scans; the others are asked where a ring has few returns."""
+    points = [(one.points[:, :3], one.ring) for one in scans]
+    chosen = range(len(scans))[_finding(scans)]
+    return find_table([points[k] for k in chosen], [one for k, one in enumerate(points) if k not in chosen])
+
+
+def _finding(scans: list[Scan]) -> slice:
+    """Which scans lasers are found from."""
+    step = max(1, len(scans) // _FINDING_SCANS)
+    return slice(0, step * _FINDING_SCANS, step)
 
 
 def _placed(
