@@ -13,6 +13,10 @@ RING = "ring"
 """`ScanTiming.source` of lasers that the recording gives."""
 _LEAST_VOTES = 0.9
 """Least share of a ring's returns that must lie on its laser of the table."""
+_OWN_ROOM = 0.75
+"""A ring farther from its laser than so much of the gap to that laser's next is of one not in the table."""
+_LEAST_OWN_RAD = np.deg2rad(0.15)
+"""Nearer than this a ring is its laser's: sensors' data sheets are no more exact."""
 _BESIDE_CLOCK = 0.05
 """Sweeps by which a return's time may differ from its clock's."""
 
@@ -56,7 +60,8 @@ def scan_timing(
     """Lasers, firings and times of one scan, from what is recorded; what is not is recovered without it.
 
     Recordings number lasers from the top, from below, or in order of firing, so a ring is the laser of the
-    table on which its returns lie. Where two rings lie on one laser, `ring` is not believed.
+    table on which its returns lie. One without a laser of its own there, as where it had too few returns to
+    be found, has laser -1; `ring` is not believed where a tenth of the returns is beside the lasers so given.
 
     Args:
         points_m: (N, 3) in file order, metres, sensor's frame.
@@ -102,16 +107,38 @@ def _clock_words(clock: SweepClock | None) -> str:
 def _lasers(points_m: np.ndarray, table: LaserTable, ring: np.ndarray | None) -> tuple[np.ndarray, str, str]:
     if ring is None or len(points_m) == 0:
         return recover_lasers(points_m, table)
-    nearest, _ = nearest_laser(points_m, table)
+    nearest, off_rad = nearest_laser(points_m, table)
     names, number = np.unique(ring, return_inverse=True)
     votes = np.zeros((len(names), table.laser_count), np.int64)
     np.add.at(votes, (number, nearest), 1)
     chosen = votes.argmax(axis=1)
-    agreeing = float(votes[np.arange(len(names)), chosen].sum() / len(points_m))
+    ring_off_rad = np.array([np.median(off_rad[number == one]) for one in range(len(names))])
+    without = _without_laser(table, chosen, ring_off_rad)
+    agreeing = float(votes[np.arange(len(names)), chosen][~without].sum() / len(points_m))
     words = f"{len(names)} rings recorded, {agreeing:.2%} of their returns on one {table.name} laser each"
-    if len(np.unique(chosen)) == len(names) and agreeing >= _LEAST_VOTES:
-        return chosen[number].astype(np.int16), RING, words
+    if agreeing >= _LEAST_VOTES:
+        if without.any():
+            words += f", {np.count_nonzero(without)} of them without a laser in the table"
+        return np.where(without, -1, chosen)[number].astype(np.int16), RING, words
     laser, source, evidence = recover_lasers(points_m, table)
     if source == UNKNOWN:
         return laser, source, f"{words}: not this sensor's; {evidence}"
     return laser, source, f"{words}: not believed; {evidence}"
+
+
+def _without_laser(table: LaserTable, chosen: np.ndarray, off_rad: np.ndarray) -> np.ndarray:
+    """Which rings have no laser of their own: another ring lies nearer to the one chosen, or it is too far.
+
+    Args:
+        table: The sensor.
+        chosen: (R,) laser nearest to most of each ring's returns.
+        off_rad: (R,) how far a ring's returns lie from the nearest lasers, the median.
+    """
+    nearest_first = np.lexsort((off_rad, chosen))
+    is_second = np.zeros(len(chosen), np.bool_)
+    is_second[nearest_first[1:]] = np.diff(chosen[nearest_first]) == 0
+    gap_rad = np.abs(np.diff(table.elevation_rad, prepend=np.inf, append=-np.inf))
+    room_rad = np.minimum(gap_rad[:-1], gap_rad[1:])
+    own_rad = np.maximum(_OWN_ROOM * room_rad[chosen], _LEAST_OWN_RAD)
+    without: np.ndarray = is_second | (off_rad > own_rad)
+    return without

@@ -1,5 +1,7 @@
 """Lasers found from scans of the demo's writer are the table that wrote them."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
@@ -65,6 +67,22 @@ def test_rings_that_are_not_lasers_are_not_believed(scans):
     ring = np.arange(len(one.points_m)) % 32
     timing = scan_timing(one.points_m, HDL_64E, ring=ring)
     assert timing.source == FILE_ORDER and "not believed" in timing.evidence
+
+
+@pytest.mark.parametrize("lost", [0, 16, 31], ids=["top", "middle", "lowest"])
+@pytest.mark.parametrize("is_alone", [False, True], ids=["among all", "without its neighbours"])
+def test_a_ring_without_a_laser_in_the_table_leaves_the_others_believed(scans, lost, is_alone):
+    one = scans[0]
+    names = [each.name for each in fields(HDL_64E) if isinstance(getattr(HDL_64E, each.name), np.ndarray)]
+    rows = np.delete(LASERS, lost)
+    table = replace(HDL_64E, **{name: getattr(HDL_64E, name)[rows] for name in names})
+    beside = np.abs(one.laser - lost) == 1
+    kept = ~beside if is_alone else np.ones(len(beside), np.bool_)
+    points_m, ring = one.points_m[kept], one.laser[kept]
+    timing = scan_timing(points_m, table, ring=ring)
+    assert timing.source == RING and "1 of them without a laser in the table" in timing.evidence
+    of_ring = np.insert(np.arange(31), lost, -1)
+    assert np.array_equal(timing.laser, of_ring[ring])
 
 
 def test_points_without_order_and_ring_are_refused_with_what_to_do(scans):
