@@ -22,6 +22,11 @@ _RESIDUAL_RAD = np.deg2rad(0.1)
 """Real returns lie within 0.02 degrees of their laser; lasers are at least 0.25 degrees apart."""
 _LOST_GAP = 2.5
 """Gaps longer than so many usual ones are lost firings; where a sweep begins, 1.6 is normal."""
+_NEARLY_ALL = 0.8
+"""Least share of the encoder's steps that a table's firings are where it fires at each: found tables count
+those that returned."""
+_MOST_STEPS_APART = 1.02
+"""Largest mean gap, in steps, of firings at every step: up to 1.003 below open sky; KITTI's have 1.84."""
 _LATTICE_RESIDUAL_STEPS = 0.15
 """Largest mean distance from the lattice: 0.02 in real scans, 0.25 where there is no lattice."""
 
@@ -75,6 +80,7 @@ def recover_firings(
 
     column_l = round(theta / step - phase_l), firing column = (column_l + firing_shift_l) mod lattice. Columns
     that at least an eighth of the lasers share are the firings; a return between two belongs to the nearest.
+    Of a sensor that fires at every step of its encoder all steps are, also those that look into the sky.
     Without a lattice, the sweep is divided evenly, by the spacing of the lasers' returns.
 
     Returns:
@@ -95,7 +101,7 @@ def recover_firings(
         gone_by = table.lattice_steps // 2 - column.astype(np.int64) - table.firing_shift_steps[ids]
         elapsed = np.mod(gone_by, table.lattice_steps)
         seen = _common_columns(elapsed, ids, table.lattice_steps)
-        columns = _fill_gaps(seen)
+        columns = np.arange(table.lattice_steps) if _fires_at_every_step(table, seen) else _fill_gaps(seen)
         azimuth_rad: np.ndarray = np.pi - columns * table.step_rad
         firing[known] = _nearest_firing(elapsed, columns, table.lattice_steps)
         said = f"{len(columns)} firings on the encoder's lattice ({residual_steps:.3f} steps off it)"
@@ -160,6 +166,18 @@ def _common_columns(elapsed: np.ndarray, laser: np.ndarray, lattice_steps: int) 
     return np.flatnonzero(share >= max(1, len(np.unique(laser)) // 8))
 
 
+def _fires_at_every_step(table: LaserTable, columns: np.ndarray) -> bool:
+    """Whether the sensor fires at every step of its encoder: the table says so, and the columns seen do."""
+    if len(columns) < 3 or table.firings_per_turn < _NEARLY_ALL * table.lattice_steps:
+        return False
+    return _usual_gap(np.diff(columns)) <= _MOST_STEPS_APART
+
+
+def _usual_gap(gap: np.ndarray) -> float:
+    """Mean of the gaps between firing columns, in steps, without those where firings are lost."""
+    return float(np.mean(gap[gap <= 2 * np.median(gap)]))
+
+
 def _fill_gaps(columns: np.ndarray) -> np.ndarray:
     """Insert lost firings evenly: with a lost packet, six firings of all lasers are missing.
 
@@ -168,7 +186,7 @@ def _fill_gaps(columns: np.ndarray) -> np.ndarray:
     if len(columns) < 3:
         return columns
     gap = np.diff(columns)
-    usual = float(np.mean(gap[gap <= 2 * np.median(gap)]))
+    usual = _usual_gap(gap)
     missing = np.where(gap > _LOST_GAP * usual, np.rint(gap / usual) - 1, 0).astype(np.int64)
     filled = [
         np.rint(np.linspace(columns[k], columns[k + 1], missing[k] + 2)[1:-1]).astype(np.int64)

@@ -68,6 +68,24 @@ def test_a_lost_packet_leaves_the_later_firings_where_they_were(simulated_scan):
     np.testing.assert_array_equal(timing.firing, firing[kept])
 
 
+def test_columns_over_sky_are_firings_too_where_the_encoder_fires_at_every_step(simulated_scan):
+    points, laser, firing = simulated_scan(OS1_64, np.arange(64), 1024)
+    # The last columns, one in the middle, and a stretch that three lasers alone see.
+    is_sky = (firing >= 1000) | (firing == 400) | ((firing >= 500) & (firing < 560))
+    kept = ~is_sky | ((laser < 3) & (firing < 1000))
+    timing = scan_timing(points[kept], OS1_64)
+    assert timing.firings == 1024 and "of them lost" in timing.evidence
+    np.testing.assert_array_equal(timing.firing, firing[kept])
+
+
+@pytest.mark.parametrize("firings", [512, 768])
+def test_a_sensor_that_fires_at_some_steps_of_its_encoder_has_no_more_firings(firings, simulated_scan):
+    points, _, firing = simulated_scan(OS1_64, np.arange(64), firings)
+    timing = scan_timing(points, OS1_64)
+    assert timing.firings == firings
+    np.testing.assert_array_equal(timing.firing, firing)
+
+
 def test_off_the_lattice_firings_come_from_the_spacing(simulated_scan):
     points, laser, firing = simulated_scan(HDL_64E, np.arange(64), 500, keep=1.0)
     angle = 0.5 * HDL_64E.step_rad * np.random.default_rng(0).uniform(-1, 1, 500)[firing]
