@@ -35,7 +35,8 @@ ORDER_CHECK = NamedCheck(
     name="scans_fit_their_own_poses_best",
     description="Each scan is laid over those before and after it, by its own pose and by each of theirs. "
     "Value: the largest mean distance at the own pose over that at the best other; more says that scans were "
-    f"swapped. A scan that lies {MOST_OF_MEDIAN:g} times as far off as the median scan fits none of them.",
+    f"swapped. A scan that lies {MOST_OF_MEDIAN:g} times as far off as the median scan fits none of them. "
+    "Scans around which no surface fixes the way driven, as along a tunnel, are counted and not blamed.",
 )
 SWEEP_CHECKS = (FRAME_CHECK, ORDER_CHECK)
 

@@ -37,6 +37,12 @@ _NEIGHBOURS = 2
 """Number of scans before and after that a scan is compared with, and whose poses are tried."""
 _FARTHEST_M = 1.0
 """Largest distance that counts: a surface that only one scan saw must not decide."""
+_LEAST_ACROSS = 0.02
+"""Least share of a way across the surfaces around for which scans can tell that it is wrong.
+
+Rings of returns travel with the sensor: where nothing else changes along the way, they fit best without it.
+0.008 along a tunnel, 0.034 in a field of posts, from 0.057 in streets."""
+_NORMAL_POINTS, _NORMAL_M = 10, 2.0
 
 
 def check_registration(task: Task) -> list[Check]:
@@ -62,21 +68,25 @@ def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) ->
         cloud[np.linspace(0, len(cloud) - 1, min(len(cloud), _MOST_TRIED)).astype(np.int64)]
         for cloud in clouds
     ]
-    own_m, other_m = scan_misfits(evenly, lidar_to_scene)
-    known = np.isfinite(own_m)
+    own_m, other_m, across = scan_misfits(evenly, lidar_to_scene)
+    known, is_free = np.isfinite(own_m), across < _LEAST_ACROSS
     if np.count_nonzero(known) < _FEWEST_SCANS:
         return ORDER_CHECK.not_run(
             f"fewer than {_FEWEST_SCANS} scans with returns from {_NEAR_M:g} to {_FAR_M:g} m"
         )
-    misfit = np.where(known, own_m / np.maximum(other_m, _LEAST_M), 0.0)
+    misfit = np.where(known & ~is_free, own_m / np.maximum(other_m, _LEAST_M), 0.0)
     of_median = np.where(known, own_m, 0.0) / max(float(np.median(own_m[known])), _LEAST_M)
     wrong = np.flatnonzero((misfit > MOST_MISFIT) | (of_median > MOST_OF_MEDIAN))
+    free = f"of {np.count_nonzero(is_free)} scans nothing can be said: no surface there fixes the way driven"
+    if len(wrong) == 0 and is_free[known].all():
+        return ORDER_CHECK.not_run(free)
     named = _first([str(arrays["frame"][k]) for k in wrong.tolist()])
     return Check(
         name=ORDER_CHECK.name,
         passed=len(wrong) == 0,
         detail=f"{len(wrong)} of {len(own_m)} scans lie better at another frame's pose, or at none"
-        + (f": frames {named}; were files swapped or copied?" if len(wrong) else ""),
+        + (f": frames {named}; were files swapped or copied?" if len(wrong) else "")
+        + (f"; {free}" if is_free.any() else ""),
         value=float(misfit.max()),
         limit=MOST_MISFIT,
     )
@@ -170,7 +180,9 @@ def _thinned(arrays: Mapping[str, np.ndarray], scan: int) -> np.ndarray:
     return found
 
 
-def scan_misfits(points_m: Sequence[np.ndarray], lidar_to_scene: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def scan_misfits(
+    points_m: Sequence[np.ndarray], lidar_to_scene: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean distance of each scan's points from its neighbours', at its own pose and at the best of theirs.
 
     The second is the smaller one for a scan that belongs to another frame. Both are equal where the sensor
@@ -181,10 +193,12 @@ def scan_misfits(points_m: Sequence[np.ndarray], lidar_to_scene: np.ndarray) -> 
         lidar_to_scene: (n, 4, 4) poses of the scans.
 
     Returns:
-        Two (n,) float64 in metres, at most 1; NaN where the scan or all its neighbours have no points.
+        Two (n,) float64 in metres, at most 1; NaN where the scan or all its neighbours have no points. Third,
+        (n,), the share of the way to that other pose that goes across the surfaces around; 1 where the own
+        pose fits about as well.
     """
     n = len(points_m)
-    own_m, best_other_m = np.full(n, np.nan), np.full(n, np.nan)
+    own_m, best_other_m, across = np.full(n, np.nan), np.full(n, np.nan), np.ones(n)
     for k, points in enumerate(points_m):
         near = [j for j in range(max(0, k - _NEIGHBOURS), min(n, k + _NEIGHBOURS + 1)) if j != k]
         around = np.concatenate([np.zeros((0, 3)), *(points_m[j] for j in near)])
@@ -193,8 +207,26 @@ def scan_misfits(points_m: Sequence[np.ndarray], lidar_to_scene: np.ndarray) -> 
         tree = cKDTree(around)
         from_pose = np.linalg.inv(lidar_to_scene[k])
         own_m[k] = _distance_m(tree, points, np.eye(4))
-        best_other_m[k] = min(_distance_m(tree, points, lidar_to_scene[j] @ from_pose) for j in near)
-    return own_m, best_other_m
+        others_m = [_distance_m(tree, points, lidar_to_scene[j] @ from_pose) for j in near]
+        best_other_m[k] = min(others_m)
+        if own_m[k] > MOST_MISFIT * best_other_m[k]:
+            best = near[int(np.argmin(others_m))]
+            across[k] = _across(tree, lidar_to_scene[best, :3, 3] - lidar_to_scene[k, :3, 3])
+    return own_m, best_other_m, across
+
+
+def _across(tree: cKDTree, way_m: np.ndarray) -> float:
+    """Mean squared share of a way (3,) across the surfaces that the tree's points lie on; 1 where unknown."""
+    points_m = np.asarray(tree.data)
+    count = min(_NORMAL_POINTS, len(points_m))
+    distance_m, index = tree.query(points_m, k=[*range(1, count + 1)])
+    around_m = points_m[index[distance_m[:, -1] < _NORMAL_M]]
+    length_m = float(np.linalg.norm(way_m))
+    if length_m < _LEAST_M or len(around_m) == 0:
+        return 1.0
+    arms_m = around_m - around_m.mean(axis=1, keepdims=True)
+    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", arms_m, arms_m))[1][:, :, 0]
+    return float(np.mean((normals @ (way_m / length_m)) ** 2))
 
 
 def _distance_m(tree: cKDTree, points_m: np.ndarray, motion: np.ndarray) -> float:
