@@ -35,7 +35,8 @@ _FORMATS = {
     "laz": "LAZ 1.4 with `ring`, `time`, `support` as further dimensions (extra `exports`)",
     "kitti": "a sequence of KITTI's odometry benchmark: `poses`, `calib.txt`, `times.txt`; `image_2` is the"
     " pinhole camera that looks ahead, `image_3` another one of the same axes. Scans are as measured from the"
-    " moving car, while the benchmark's are compensated: `velodyne_time` has each point's time",
+    " moving car, while the benchmark's are compensated: `velodyne_time` has each point's time (of a scene"
+    " with `compensate = false` they are of one instant, all times 0)",
     "kitti360": "a KITTI-360 root: calibration, poses, timestamps, boxes; this project ingests it again",
     "mcap": "a ROS 2 bag (Humble and newer) in an MCAP file: points, images, depth, objects, camera info,"
     " transforms (extra `exports`)",

@@ -209,7 +209,8 @@ def _require_covered(view: ViewEntry, drive: AbstractDrive, where: str) -> None:
             continue  # it has images, but no calibration: the stage `frames` says so
         lens = recorded[camera.like].intrinsics
         try:
-            require_coverage(camera.model(), lens if isinstance(lens, Pinhole) else perspective_view(lens))
+            shown = lens if isinstance(lens, Pinhole) else lens.as_pinhole or perspective_view(lens)
+            require_coverage(camera.model(), shown)
         except DataError as error:
             raise DataError(f"{where}, camera {camera.name}, like {camera.like}: {error}") from error
 

@@ -76,6 +76,15 @@ class MeiFisheye:
         return np.array([[self.gamma1, 0.0, self.u0], [0.0, self.gamma2, self.v0], [0.0, 0.0, 1.0]])
 
     @property
+    def as_pinhole(self) -> Pinhole | None:
+        """The same camera as a pinhole, where it is one: xi = 0 and no distortion."""
+        if any((self.xi, self.k1, self.k2, self.p1, self.p2)):
+            return None
+        return Pinhole(
+            fx=self.gamma1, fy=self.gamma2, cx=self.u0, cy=self.v0, width=self.width, height=self.height
+        )
+
+    @property
     def distortion(self) -> np.ndarray:
         """(4,) float64: k1, k2, p1, p2."""
         return np.array([self.k1, self.k2, self.p1, self.p2])

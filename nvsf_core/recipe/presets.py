@@ -33,7 +33,7 @@ _LEAN = replace(
     pano=PanoSpec(training=TrainingSpec(steps=400, rays=17_000)),
     camera=replace(_QUICK.camera, aligned=True),
 )
-# The demo's: on its few scans what is learned wins after so many steps.
+# The demo's: on its few scans what is learned wins after some 500 steps.
 _SHORT = replace(_QUICK, name="short", lidar_training=replace(_QUICK.lidar_training, steps=560))
 _SMOKE = replace(
     _QUICK,

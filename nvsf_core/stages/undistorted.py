@@ -111,7 +111,7 @@ def _undistort(
 
 
 def camera_of(camera: str, calibration: Mapping[str, Any]) -> tuple[Undistorter | None, Pinhole]:
-    """The resampling of a fisheye's images (None for a perspective camera), and the pinhole camera.
+    """The resampling of a fisheye's images (None for a camera without distortion), and the pinhole camera.
 
     Args:
         camera: Its name.
@@ -131,6 +131,8 @@ def camera_of(camera: str, calibration: Mapping[str, Any]) -> tuple[Undistorter 
     values = {name: float(calibration[name]) for name in names}
     width, height = int(calibration["width"]), int(calibration["height"])
     fisheye = MeiFisheye(**values, width=width, height=height)
+    if (flat := fisheye.as_pinhole) is not None:  # as a third pinhole is written into KITTI-360's layout
+        return None, flat
     view = perspective_view(fisheye)
     return make_undistorter(fisheye, view), view
 

@@ -122,6 +122,10 @@ def test_our_own_tree_of_a_scene_of_instants_is_imported_as_one(root, tmp_path, 
     write(tmp_path, replace(moving, sweep_period_s=0.0, scan=lambda index: at_once))
     name = kind.removesuffix("_odometry")
     assert not whole_drive(tmp_path / name, kind).is_to_compensate
+    again = import_drive(
+        whole_drive(tmp_path / name, kind), tmp_path / "again", layout="kitti360", progress=_silent
+    )
+    assert again.scans and not whole_drive(tmp_path / "again", "kitti360").is_to_compensate
     write(tmp_path / "moving", moving)
     assert whole_drive(tmp_path / "moving" / name, kind).is_to_compensate
 

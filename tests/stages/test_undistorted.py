@@ -1,4 +1,5 @@
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -7,7 +8,9 @@ import pytest
 
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.kitti360.writer import flat_fisheye
 from nvsf_core.errors import NvsfError
+from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import ResidualRecipe
 from nvsf_core.stages.flow import UNDISTORTED
 from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
@@ -53,6 +56,16 @@ def run(
 
 def images(tmp_path: Path) -> Path:
     return tmp_path / "home/tiny/undistorted/images.zarr"
+
+
+def test_a_pinhole_in_a_fisheyes_place_keeps_its_images(tmp_path):
+    """As `nvsf import` and our exports write a third pinhole into KITTI-360's layout."""
+    flat = asdict(flat_fisheye(Pinhole(fx=70.0, fy=71.0, cx=40.0, cy=20.0, width=90, height=48)))
+    run(tmp_path, {"image_02": flat | {"kind": "fisheye"}})
+    facts = read_attrs(images(tmp_path))["cameras"]["image_02"]
+    assert [facts[name] for name in ("fx", "fy", "cx", "cy", "width", "height")] == [70, 71, 40, 20, 90, 48]
+    arrays = read_arrays(images(tmp_path), "image_02_rgb", "image_02_valid")
+    assert arrays["image_02_valid"].all() and arrays["image_02_rgb"].min() >= 20
 
 
 def test_a_perspective_camera_passes_through(tmp_path: Path) -> None:

@@ -85,9 +85,11 @@ def frame_times(
         return _nominal(count, period_s, misfit, is_refused=True)
     time_s = (section - section[0]) / np.timedelta64(1, "s")
     times = spaced_times(time_s, period_s, str(path.relative_to(layout.root)))
-    if times.is_assumed or path != layout.timestamps_path():
+    if times.is_assumed:
         return times
-    sweep_s = _recorded_sweep_s(layout, len(stamps), lines) if given_period_s is None else given_period_s
+    sweep_s = given_period_s
+    if sweep_s is None and path == layout.timestamps_path():
+        sweep_s = _recorded_sweep_s(layout, len(stamps), lines)
     return replace(times, sweep_period_s=sweep_of(sweep_s, times.sweep_period_s))
 
 
@@ -103,7 +105,10 @@ def _recorded_sweep_s(layout: DriveLayout, n_lines: int, section: slice) -> floa
     paths = [layout.timestamps_path(kind) for kind in ("start", "end")]
     if not all(lexists(path) for path in paths):
         return None
-    begin, end = (read_timestamps(path) for path in paths)
+    try:
+        begin, end = (read_timestamps(path) for path in paths)
+    except DataError:  # the frames' own times are known: these files are not needed
+        return None
     if not len(begin) == len(end) == n_lines:
         return None
     lasts_s = (end[section] - begin[section]) / np.timedelta64(1, "s")

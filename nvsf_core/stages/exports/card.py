@@ -135,7 +135,9 @@ def _not_for(
             f"As the measurements of a real {manifest['sensor']}: its rays are that sensor's, what returns "
             "and how bright is learned from the recording one."
         )
-    if "kitti" in manifest["view"]["exports"] and manifest["scans"]:
+    # 0: each scan is of one instant, as the scene's were taken to be.
+    is_moving = manifest.get("sweep_period_s", math.inf) > 0.0
+    if "kitti" in manifest["view"]["exports"] and manifest["scans"] and is_moving:
         found.append(
             "As scans of KITTI's odometry benchmark, which are compensated for the car's motion: those in "
             "`kitti` are not; `velodyne_time` beside them has each point's time."

@@ -6,8 +6,9 @@ cameras and `Tr`, LiDAR to camera 0. Without images the camera is a nominal one 
 count from 0. `image_2` is the pinhole camera that looks ahead; `image_3` another one of the same axes, as the
 benchmark's readers take all cameras to be rectified to each other; others are left out.
 
-Unlike the benchmark's, scans are not compensated for the car's motion. `velodyne_time`, which only these
-trees have, holds each point's time after the stamp.
+Unlike the benchmark's, scans are not compensated for the car's motion, unless the scene's were.
+`velodyne_time`, which only these trees have, holds each point's time after the stamp: 0 of scans of one
+instant.
 """
 
 from collections.abc import Mapping

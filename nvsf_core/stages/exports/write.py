@@ -63,6 +63,7 @@ def write_data_set(
     return {
         "schema_version": SCHEMA_VERSION,
         "sensor": view.attrs.get("sensor", ""),
+        "sweep_period_s": float(view.attrs.get("sweep_period_s", 0.0)),
         "scans": scans,
         "images": images,
         "cameras": _cameras(view),

@@ -92,8 +92,10 @@ class Kitti360Target(AbstractTarget):
         # A line a frame from frame 0, also before the section.
         sweep_s, first = facts.times.sweep_period_s, self.scene.first_frame
         stamps = np.concatenate([sweep_s * np.arange(first), first * sweep_s + facts.times.time_s])
-        for kind, shift in (("", 0.0), ("start", -0.5), ("end", 0.5)):
-            write_timestamps(layout.timestamps_path(kind), START, (stamps + shift * sweep_s).tolist())
+        # Scans of one instant begin when they end: so they are known when the tree is read.
+        half_s = 0.5 * sweep_s if self.scene.is_to_compensate else 0.0
+        for kind, shift_s in (("", 0.0), ("start", -half_s), ("end", half_s)):
+            write_timestamps(layout.timestamps_path(kind), START, (stamps + shift_s).tolist())
         self._write_boxes(boxes)
         self.left_out += self._losses()
         self.notes += self._renames()
