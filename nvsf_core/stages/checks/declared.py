@@ -38,7 +38,15 @@ ORDER_CHECK = NamedCheck(
     f"swapped. A scan that lies {MOST_OF_MEDIAN:g} times as far off as the median scan fits none of them. "
     "Scans around which no surface fixes the way driven, as along a tunnel, are counted and not blamed.",
 )
-SWEEP_CHECKS = (FRAME_CHECK, ORDER_CHECK)
+MOST_TILT_DEG = 15.0
+"""Largest angle; 1 degree in streets, 30 where poses are in the frame of a sensor that looks down by 30."""
+UPRIGHT_CHECK = NamedCheck(
+    name="z_is_up",
+    description="The normal of the ground below the LiDAR, in the mean of some scans, against the poses' z "
+    "and the LiDAR's. Value: the smaller angle, because on a hill the LiDAR stands as the ground lies. More "
+    "says that the poses are in the frame of a tilted sensor; but heights above ground are taken along z.",
+)
+SWEEP_CHECKS = (FRAME_CHECK, ORDER_CHECK, UPRIGHT_CHECK)
 
 # Field: a trained model.
 WEIGHTS = NamedCheck(

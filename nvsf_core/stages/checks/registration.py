@@ -1,10 +1,11 @@
-"""Checks of scans against poses: registration of neighbours, and each scan tried at its neighbours' poses."""
+"""Checks of scans against poses: registration of neighbours, scans at their neighbours' poses, and z."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from nvsf_core.clouds.ground_normal import ground_normals, surface_normals
 from nvsf_core.clouds.registration import Registration, register
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.geometry.se3 import poses_in
@@ -12,9 +13,11 @@ from nvsf_core.stages.checks.declared import (
     FEWEST_MATCHED,
     FRAME_CHECK,
     MOST_OF_MEDIAN,
+    MOST_TILT_DEG,
     MOST_TURN_DEG,
     ORDER_CHECK,
     SWEEP_CHECKS,
+    UPRIGHT_CHECK,
 )
 from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.runner.stage import Check, Task
@@ -42,18 +45,20 @@ _LEAST_ACROSS = 0.02
 
 Rings of returns travel with the sensor: where nothing else changes along the way, they fit best without it.
 0.008 along a tunnel, 0.034 in a field of posts, from 0.057 in streets."""
-_NORMAL_POINTS, _NORMAL_M = 10, 2.0
 
 
 def check_registration(task: Task) -> list[Check]:
-    """Both checks of the sweeps in the task's folder."""
+    """All named checks of the sweeps in the task's folder."""
     path = task.folder / "returns.zarr"
     if read_arrays(path, "frame")["frame"].size == 0:
         return [named.not_run("this drive has no scan") for named in SWEEP_CHECKS]
     names = ("frame", "offsets", "origin_m", "direction", "range_m", "is_own_vehicle", "lidar_to_world")
     arrays = read_arrays(path, *names)
-    poses = poses_in(scene_frame(read_attrs(path)), arrays["lidar_to_world"])
-    return [registration_check(arrays), order_check(arrays, poses)]
+    scene_to_world = scene_frame(read_attrs(path))
+    poses = poses_in(scene_to_world, arrays["lidar_to_world"])
+    return [
+        registration_check(arrays), order_check(arrays, poses), upright_check(arrays, poses, scene_to_world)
+    ]  # fmt: skip
 
 
 def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) -> Check:
@@ -89,6 +94,39 @@ def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) ->
         + (f"; {free}" if is_free.any() else ""),
         value=float(misfit.max()),
         limit=MOST_MISFIT,
+    )
+
+
+def upright_check(
+    arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray, scene_to_world: np.ndarray
+) -> Check:
+    """Check that z is up: the ground lies level in the mean, or as the LiDAR stands, as on a hill.
+
+    Args:
+        arrays: Arrays of `sweeps/returns.zarr`.
+        lidar_to_scene: (n, 4, 4) float64 poses of its scans, scene-local, metres.
+        scene_to_world: (4, 4) pose of the scene's frame in the drive's own world; z is that world's.
+    """
+    clouds = [_thinned(arrays, k) for k in range(len(arrays["frame"]))]
+    normals, scans = ground_normals(clouds, lidar_to_scene)
+    if len(scans) < _FEWEST_SCANS:
+        return UPRIGHT_CHECK.not_run(f"ground is seen below {len(scans)} scans, expected {_FEWEST_SCANS}")
+    normal = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
+    from_lidar = np.mean((normals * lidar_to_scene[scans, :3, 2]).sum(axis=1))
+    off_z_deg, off_lidar_deg = np.degrees(np.arccos(np.clip([normal[2], from_lidar], -1.0, 1.0)))
+    is_tilted = min(off_z_deg, off_lidar_deg) > MOST_TILT_DEG
+    remedy = (
+        ": what does not move may be taken to move; turn all poses (from the left) so that the normal, "
+        f"{_vector(scene_to_world[:3, :3] @ normal)}, becomes (0, 0, 1)"
+    )
+    return Check(
+        name=UPRIGHT_CHECK.name,
+        passed=not is_tilted,
+        detail=f"the ground's normal is {off_z_deg:.1f} degrees off the poses' z and {off_lidar_deg:.1f} off "
+        f"the LiDAR's, in the mean of {len(scans)} scans{remedy if is_tilted else ''}",
+        value=float(min(off_z_deg, off_lidar_deg)),
+        limit=MOST_TILT_DEG,
+        unit="deg",
     )
 
 
@@ -211,21 +249,16 @@ def scan_misfits(
         best_other_m[k] = min(others_m)
         if own_m[k] > MOST_MISFIT * best_other_m[k]:
             best = near[int(np.argmin(others_m))]
-            across[k] = _across(tree, lidar_to_scene[best, :3, 3] - lidar_to_scene[k, :3, 3])
+            across[k] = _across(around, lidar_to_scene[best, :3, 3] - lidar_to_scene[k, :3, 3])
     return own_m, best_other_m, across
 
 
-def _across(tree: cKDTree, way_m: np.ndarray) -> float:
-    """Mean squared share of a way (3,) across the surfaces that the tree's points lie on; 1 where unknown."""
-    points_m = np.asarray(tree.data)
-    count = min(_NORMAL_POINTS, len(points_m))
-    distance_m, index = tree.query(points_m, k=[*range(1, count + 1)])
-    around_m = points_m[index[distance_m[:, -1] < _NORMAL_M]]
+def _across(points_m: np.ndarray, way_m: np.ndarray) -> float:
+    """Mean squared share of a way (3,) across the surfaces that points (N, 3) lie on; 1 where unknown."""
+    normals, _ = surface_normals(points_m)
     length_m = float(np.linalg.norm(way_m))
-    if length_m < _LEAST_M or len(around_m) == 0:
+    if length_m < _LEAST_M or len(normals) == 0:
         return 1.0
-    arms_m = around_m - around_m.mean(axis=1, keepdims=True)
-    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", arms_m, arms_m))[1][:, :, 0]
     return float(np.mean((normals @ (way_m / length_m)) ** 2))
 
 

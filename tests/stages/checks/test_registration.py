@@ -7,7 +7,7 @@ import pytest
 
 from nvsf_core.clouds.open3d_room import load_open3d
 from nvsf_core.errors import MissingLibraryError
-from nvsf_core.stages.checks.registration import order_check, registration_check
+from nvsf_core.stages.checks.registration import order_check, registration_check, upright_check
 
 _OPEN3D_LIBRARIES = ("libEGL.so.1", "libGL.so.1", "libX11.so.6")
 _SLIM_RUN = """
@@ -102,6 +102,36 @@ def test_scans_of_a_tunnel_are_not_blamed_for_rings_that_travel_with_the_sensor(
     check = order_check(*hall(np.inf, [0, 1, 2, 3, 4, 5]))
     assert check.passed
     assert check.detail.startswith("not run: of 6 scans nothing can be said: no surface there fixes the way")
+
+
+@pytest.mark.parametrize(
+    ("lidar_tilt_deg", "world_tilt_deg", "passed"),
+    [(0.0, 0.0, True), (30.0, 0.0, True), (0.0, 20.0, True), (30.0, 30.0, False)],
+    ids=["level", "a tilted sensor", "a hill", "poses of a tilted sensor"],
+)  # fmt: skip
+def test_poses_of_a_tilted_sensors_frame_are_found_and_hills_are_not(lidar_tilt_deg, world_tilt_deg, passed):
+    arrays, poses = hall(12.0, [0, 1, 2, 3, 4, 5])
+    turns = []
+    for angle_rad in np.radians([lidar_tilt_deg, world_tilt_deg]):
+        cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+        turns.append(np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]]))
+    of_lidar, of_world = turns
+    arrays |= {name: arrays[name] @ of_world for name in ("origin_m", "direction")}
+    poses[:, :3, 3] = poses[:, :3, 3] @ of_world
+    poses[:, :3, :3] = of_world.T @ of_lidar
+    # The world's x is the scene's y.
+    scene_to_world = np.eye(4)[[1, 0, 2, 3]] * [[1], [-1], [1], [1]]
+    check = upright_check(arrays, poses, scene_to_world)
+    assert check.passed is passed and not check.blocking
+    if not passed:
+        assert check.value == pytest.approx(30.0, abs=1.0)
+        assert "so that the normal, (0.00, 0.50, 0.87), becomes (0, 0, 1)" in check.detail
+
+
+def test_without_ground_nothing_is_said_of_up():
+    arrays, poses = hall(12.0, [0, 1, 2, 3, 4, 5])
+    arrays["is_own_vehicle"] = arrays["direction"][:, 2] < 0.0
+    assert upright_check(arrays, poses, np.eye(4)).detail.startswith("not run: ground is seen below 0 scans")
 
 
 def _require_open3d() -> None:
