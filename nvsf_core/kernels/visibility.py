@@ -16,7 +16,8 @@ another object, such as the next car of a queue."""
 _MOST_GUESSES = 4
 """Of the moment at which a scan looks at a place; from scan to scan it hardly changes."""
 _APART_M = 0.35
-"""Where neighbouring lasers are farther apart than this, only the one that looks at a place counts."""
+"""Where neighbouring lasers are farther apart than this, only the one that looks at a place counts, or both
+between which it lies; where they are nearer together, three do."""
 
 
 # Not inlined by numba: inlined, a result that was kept for later was wrong after the second call.
@@ -53,10 +54,10 @@ def _cell(azimuth, count):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _row(elevation, range_m, laser_elevation, laser_offset_m):  # type: ignore[no-untyped-def]
-    """The laser that looks at this elevation at this range, and rows (first, end) that know of the place.
+def _neighbours(elevation, range_m, laser_elevation, laser_offset_m):  # type: ignore[no-untyped-def]
+    """Rows of the laser nearest to an elevation at a range and of the next one, and the angles to both.
 
-    Row -1 beyond the outermost lasers.
+    Row -1 beyond the outermost lasers. Just outside them the first angle is negative.
     """
     nearness = np.float32(1.0) / range_m
     low, high = 0, len(laser_elevation) - 1
@@ -70,13 +71,21 @@ def _row(elevation, range_m, laser_elevation, laser_offset_m):  # type: ignore[n
     below = elevation - laser_elevation[high] - laser_offset_m[high] * nearness
     spacing = above + below
     if above < -_OFF_ROW_SHARE * spacing or below < -_OFF_ROW_SHARE * spacing:
-        return -1, 0, 0
-    row = low if above < below else high
+        return -1, -1, above, below
+    if above < below:
+        return low, high, above, below
+    return high, low, below, above
+
+
+@njit(inline="always")
+def _asked(row, beside, off_row, off_beside, range_m, count):  # type: ignore[no-untyped-def]
+    """First and end of the rows, of `count`, that know of a place between two neighbours."""
+    spacing = off_row + off_beside
     if spacing * range_m < _APART_M:
-        return row, max(row - 1, 0), min(row + 2, len(laser_elevation))
-    if min(above, below) < _ON_ROW_SHARE * spacing:
-        return row, row, row + 1
-    return row, low, high + 1
+        return max(row - 1, 0), min(row + 2, count)
+    if off_row < _ON_ROW_SHARE * spacing:
+        return row, row + 1
+    return min(row, beside), max(row, beside) + 1
 
 
 @njit(inline="always")
@@ -100,6 +109,48 @@ def _look(image, first_row, end_row, column, range_m, margin_m):  # type: ignore
     if nearer == filled:
         return _HIDDEN
     return _CONFIRMED if farther + nearer < filled else _UNKNOWN
+
+
+# Wide: two rows, the angles to both, and a place.
+@njit(inline="always")
+def _may_be_sheet(  # type: ignore[no-untyped-def]
+    image, row, beside, off_row, off_beside, column, least_range_m
+):
+    """Whether a surface that two neighbouring rows met may be at the place, no farther than this range.
+
+    A ceiling at a grazing angle comes metres nearer from one row to the next. Between the rows a surface may
+    bend, as a bonnet does, and have any range from one row's to the other's. Beyond the outermost row it is
+    taken to run on straight: then 1 / range is linear in the angle. A row without a return says nothing.
+    """
+    cells = image.shape[1]
+    nearness = (off_row + off_beside) / least_range_m
+    for k in range(column - 1, column + 2):
+        found, found_beside = image[row, k % cells], image[beside, k % cells]
+        if found_beside <= 0.0:
+            continue
+        if off_row >= 0.0:
+            if found_beside <= least_range_m:
+                return True
+        elif found > 0.0 and off_beside / found + off_row / found_beside >= nearness:
+            return True
+    return False
+
+
+@njit(inline="always")
+def _ask(  # type: ignore[no-untyped-def]
+    image, column, elevation, range_m, margin_m, laser_elevation, laser_offset_m
+):
+    """What a scan's image says of a surface at a place."""
+    row, beside, off_row, off_beside = _neighbours(elevation, range_m, laser_elevation, laser_offset_m)
+    if row < 0:
+        return _UNKNOWN
+    first_row, end_row = _asked(row, beside, off_row, off_beside, range_m, len(laser_elevation))
+    seen = _look(image, first_row, end_row, column, range_m, margin_m)
+    if seen == _THROUGH and _may_be_sheet(
+        image, row, beside, off_row, off_beside, column, range_m + margin_m
+    ):
+        return _UNKNOWN
+    return seen
 
 
 @njit(parallel=True, cache=True, nogil=True)
@@ -149,26 +200,24 @@ def look_back(  # type: ignore[no-untyped-def]
                     flat = math.sqrt(x * x + y * y)
                     range_m = math.sqrt(x * x + y * y + z * z)
                     elevation = _angle(z * cosine - flat * sine, flat * cosine + z * sine)
-                    row, first_row, end_row = _row(elevation, range_m, laser_elevation, laser_offset_m)
-                    if row >= 0:
-                        column = _cell(azimuth, cells)
-                        seen = _look(
-                            images[scan],
-                            first_row,
-                            end_row,
-                            column,
-                            range_m,
-                            np.float32(near_m) + np.float32(per_range) * range_m,
-                        )
-                        if seen == _THROUGH:
-                            gone = True
-                            through += 1
-                            left = left or through >= _LEFT_SCANS
-                            counts[point, 0] += 1
-                        elif seen == _CONFIRMED:
-                            through = 0
-                            counts[point, 2] += 1
-                            if gone and not left:
-                                counts[point, 1] += 1
+                    seen = _ask(
+                        images[scan],
+                        _cell(azimuth, cells),
+                        elevation,
+                        range_m,
+                        np.float32(near_m) + np.float32(per_range) * range_m,
+                        laser_elevation,
+                        laser_offset_m,
+                    )
+                    if seen == _THROUGH:
+                        gone = True
+                        through += 1
+                        left = left or through >= _LEFT_SCANS
+                        counts[point, 0] += 1
+                    elif seen == _CONFIRMED:
+                        through = 0
+                        counts[point, 2] += 1
+                        if gone and not left:
+                            counts[point, 1] += 1
                     scan += direction
     return counts
