@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from assets.metadata import exported_folders
 from nvsf_core.errors import DataError
 from nvsf_core.stages import STAGES, SceneRun, plan_run, run_named_stage
-from nvsf_core.stages.benchmark_report import _records
+from nvsf_core.stages.benchmark_report import stage_records
 from nvsf_core.stages.exports.manifest import write_manifest
 from nvsf_core.stages.flow import WORK_MODULES
 from nvsf_core.stages.runner.locks import file_lock
@@ -344,10 +344,11 @@ def test_a_note_or_a_manifest_that_is_damaged_hides_no_other_version(
 def test_no_link_leads_to_a_removed_version(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(KEEP_VARIABLE, "1")
     outcomes = [_make(home, draw) for draw in range(2)]
-    (newest,) = _records(home / "tiny")[-1:]
+    (newest,) = stage_records(home / "tiny")[-1:]
     assert newest.stage == "dataset quick 0" and newest.metadata["test_version"] == _folder(home, "W1").name
-    os.utime(outcomes[0].path / "stage.json", (4e9, 4e9))
-    (newest,) = _records(home / "tiny")[-1:]
+    record = outcomes[0].path / "stage.json"
+    write_document(record, json.loads(record.read_text()) | {"made_s": 4e9})
+    (newest,) = stage_records(home / "tiny")[-1:]
     assert newest.metadata["test_scans"] == 1 and "test_version" not in newest.metadata
     assert [list(exported_folders(one)) for one in outcomes] == [[], ["test", "shift_1m"]]
 
