@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.errors import ShapeError
+from nvsf_core.clouds.binary_rows import write_rows
 
 
 def write_pcd(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
@@ -13,15 +13,10 @@ def write_pcd(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
     Raises:
         ShapeError: The arrays do not belong together.
     """
-    if points_m.ndim != 2 or points_m.shape[1] != 3 or intensity.shape != points_m.shape[:1]:
-        raise ShapeError(
-            f"{path}: expected points (N, 3) and intensity (N,), found {points_m.shape} and {intensity.shape}"
-        )
     count = len(points_m)
     header = (
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\n"
         f"TYPE F F F F\nCOUNT 1 1 1 1\nWIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\n"
         "DATA binary\n"
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(header.encode() + np.column_stack([points_m, intensity]).astype("<f4").tobytes())
+    write_rows(path, header, points_m, intensity)

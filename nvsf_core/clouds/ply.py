@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.errors import ShapeError
+from nvsf_core.clouds.binary_rows import write_rows
 
 
 def write_ply(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
@@ -13,11 +13,6 @@ def write_ply(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
     Raises:
         ShapeError: The arrays do not belong together.
     """
-    if points_m.ndim != 2 or points_m.shape[1] != 3 or intensity.shape != points_m.shape[:1]:
-        raise ShapeError(
-            f"{path}: expected points (N, 3) and intensity (N,), found {points_m.shape} and {intensity.shape}"
-        )
     properties = "".join(f"property float {name}\n" for name in ("x", "y", "z", "intensity"))
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points_m)}\n{properties}end_header\n"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(header.encode() + np.column_stack([points_m, intensity]).astype("<f4").tobytes())
+    write_rows(path, header, points_m, intensity)
