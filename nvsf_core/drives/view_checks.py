@@ -13,8 +13,7 @@ from nvsf_core.drives.view_entry import NO_SENSOR
 from nvsf_core.drives.view_parts import FARTHEST_SHIFT_M
 from nvsf_core.errors import DataError, NvsfError
 from nvsf_core.geometry.camera_fan import require_coverage
-from nvsf_core.geometry.fisheye import perspective_view
-from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.fisheye import shown_as
 from nvsf_core.sensors.tables import SENSOR_TABLES
 
 _SLACK_S = 1e-6
@@ -209,8 +208,7 @@ def _require_covered(view: ViewEntry, drive: AbstractDrive, where: str) -> None:
             continue  # it has images, but no calibration: the stage `frames` says so
         lens = recorded[camera.like].intrinsics
         try:
-            shown = lens if isinstance(lens, Pinhole) else lens.as_pinhole or perspective_view(lens)
-            require_coverage(camera.model(), shown)
+            require_coverage(camera.model(), shown_as(lens))
         except DataError as error:
             raise DataError(f"{where}, camera {camera.name}, like {camera.like}: {error}") from error
 

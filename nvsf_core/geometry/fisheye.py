@@ -167,6 +167,13 @@ class MeiFisheye:
         return np.stack([step_x, step_y], axis=-1)
 
 
+def shown_as(lens: Pinhole | MeiFisheye) -> Pinhole:
+    """The pinhole that a recorded camera's images are shown as; itself if it has no distortion."""
+    if isinstance(lens, Pinhole):
+        return lens
+    return lens.as_pinhole or perspective_view(lens)
+
+
 def perspective_view(fisheye: MeiFisheye, fov_deg: float = 90.0, size_px: int | None = None) -> Pinhole:
     """The square perspective camera that a fisheye is undistorted to.
 

@@ -9,7 +9,7 @@ from nvsf_core.cameras.masks import lens_circle
 from nvsf_core.cameras.undistort import Undistorter, make_undistorter
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.errors import CalibrationError
-from nvsf_core.geometry.fisheye import MeiFisheye, perspective_view
+from nvsf_core.geometry.fisheye import MeiFisheye, shown_as
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.reporting.previews import image_preview
 from nvsf_core.stages.inputs import pinhole_of
@@ -131,10 +131,9 @@ def camera_of(camera: str, calibration: Mapping[str, Any]) -> tuple[Undistorter 
     values = {name: float(calibration[name]) for name in names}
     width, height = int(calibration["width"]), int(calibration["height"])
     fisheye = MeiFisheye(**values, width=width, height=height)
-    if (flat := fisheye.as_pinhole) is not None:  # as a third pinhole is written into KITTI-360's layout
-        return None, flat
-    view = perspective_view(fisheye)
-    return make_undistorter(fisheye, view), view
+    view = shown_as(fisheye)
+    # A third pinhole is written into KITTI-360's layout as a fisheye without distortion.
+    return None if fisheye.as_pinhole else make_undistorter(fisheye, view), view
 
 
 def _facts(view: Pinhole, kind: str) -> dict[str, float | int | str]:
