@@ -90,7 +90,7 @@ def _compensate(source: Path, kind: str, sequence: str) -> bool | None:
     """
     if kind == KITTI_ODOMETRY:
         scans = sorted((source / "sequences" / sequence / _TIMES_OF_POINTS).glob("*.bin"))
-        return True if any(any(path.read_bytes()) for path in scans) else None
+        return True if any(path.read_bytes().strip(b"\0") for path in scans) else None
     if kind == "kitti360":
         layout = DriveLayout(source, sequence)
         begin, end = (layout.timestamps_path(which) for which in ("start", "end"))
