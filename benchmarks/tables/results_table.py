@@ -6,6 +6,7 @@ hand. What was measured elsewhere or earlier stays, unless the same scene, metho
 again.
 """
 
+import functools
 import json
 import math
 import os
@@ -53,13 +54,14 @@ def collect(home: Path) -> dict[str, list[Row]]:
     errors, by which `of_same_views` tells which compare.
     """
     found: dict[str, list[Row]] = {}
+    records_of = functools.cache(stage_records)
     # A killed writer leaves hidden folders behind.
     tables = home.glob("[!.]*/scene_metrics/[!.]*/[!.]*/metrics.parquet")
     for path in sorted(tables, key=lambda table: made_s(table.parent)):
         measured = read_rows(path)
         means = mean_rows(measured)
         recipe, of_seed = path.parts[-3:-1]
-        records = stage_records(path.parents[3])
+        records = records_of(path.parents[3])
         shared = {
             "machine": _machine(record_of(records, "scene_metrics", recipe, of_seed)),
             "views": dict(measured_against(records, recipe, of_seed, measured).views),
