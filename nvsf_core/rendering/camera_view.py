@@ -99,6 +99,8 @@ class CameraView:
     """What the images' depth maps show; None where the images have none."""
     log_gain: float = 0.0
     """Natural logarithm of the view's exposure over the common one of the images, see `at_exposure`."""
+    off_path_m: float = 0.0
+    """Distance from the path on which the images were taken, metres."""
     label: Tensor | None = None
     """(H, W) uint8: 0 = static, 1 and more = number of the moving object; None = nothing moves."""
 

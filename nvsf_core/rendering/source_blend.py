@@ -20,6 +20,9 @@ from nvsf_core.rendering.warping import plane_rays, ray_length, sample
 _TRUST_PX = 2.0
 """Over this distance from a return the trust in the LiDAR's depth falls to 1/e: farther away the images'
 depth maps are better, which know the returns of all scans."""
+_ON_PATH_M, _OFF_PATH_M = 1.0, 3.0
+"""A view up to so far from the path is as soft as makes its squared errors least, one from so far as sharp as
+its sources (decision 0055)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,9 +112,11 @@ def _blended(
     where, likeliest = kernel_inputs(sources, points, view.pinhole), _array(found.likeliest)
     is_seen, around_colour, nearness = _array(seen), _array(around), _array(sources.nearness)
     weight = nearness * nearness
-    moved = brought_together(where, likeliest, _array(colour), is_seen, around_colour, weight)
+    sharpness = min(max((view.off_path_m - _ON_PATH_M) / (_OFF_PATH_M - _ON_PATH_M), 0.0), 1.0)
+    moved = brought_together(where, likeliest, _array(colour), is_seen, around_colour, weight, sharpness)
     trust = source_trust(moved, is_seen, likeliest, around_colour, weight)
-    return torch.from_numpy(blended(moved, is_seen, _array(found.share), nearness, around_colour, trust))
+    colours = blended(moved, is_seen, _array(found.share), nearness, around_colour, trust, sharpness)
+    return torch.from_numpy(colours)
 
 
 def _array(x: Tensor) -> np.ndarray:

@@ -91,7 +91,7 @@ NOVEL_VIEWS = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="33",
+    version="34",
     run=_later("novel_views", "run"),
     per_recipe=True,
     reads_views=True,

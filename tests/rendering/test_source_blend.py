@@ -1,5 +1,7 @@
 """Laws of depth planes and of blended views, on photographs of a textured wall."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -130,6 +132,20 @@ def test_a_view_shows_the_wall_where_the_depths_of_images_are_known(points: np.n
     assert np.median(error) < 12.0
     length_m = WALL_M / CAMERA.rays(CAMERA.pixels())[..., 2]
     assert np.median(np.abs(shown.range_m / length_m - 1.0)[8:-8, 16:-16]) < 0.01
+
+
+def test_off_the_path_a_view_is_more_like_its_nearest_source_and_within_a_metre_the_same() -> None:
+    # The farther sources show the wall brighter.
+    given = view(NOTHING, depths=wall_maps())
+    given.images.full[[0, 3], :3] += 0.05
+    only_first = given.near.nearness * (given.near.nearness == 1.0)
+    nearest = replace(given, near=replace(given.near, nearness=only_first))
+    places_m = (0.0, 1.0, 2.0, 3.0, 5.0)
+    shown = [render_view(replace(given, off_path_m=away_m)).rgb.astype(float) for away_m in places_m]
+    assert np.array_equal(shown[0], shown[1]) and np.array_equal(shown[3], shown[4])
+    alone = render_view(nearest).rgb.astype(float)
+    apart = [np.abs(shown[number] - alone)[8:-8, 24:-24].mean() for number in (0, 2, 3)]
+    assert apart[2] < apart[1] < apart[0]
 
 
 def test_between_two_surfaces_lies_no_depth_and_along_one_it_is_even() -> None:

@@ -13,11 +13,14 @@ _NEARNESS_POWER = np.float32(1.5)
 """With 2 views are sharper, with 1 their errors are smaller."""
 _OFFSET = np.array([0.02, 0.01, 0.01], np.float32)
 """Added to the probability of each depth, so that none is 0."""
+_SHARP_POWER, _SHARP_AROUND = 3.0, 0.01
+"""In a view of full sharpness the weights of what sources show have this power, and the colour around has
+this share of its weight: nearly all is from the likeliest source (decision 0055)."""
 
 
 def blended(
     colour: np.ndarray, seen: np.ndarray, share: np.ndarray, nearness: np.ndarray, around: np.ndarray,
-    trust: np.ndarray,
+    trust: np.ndarray, sharpness: float = 0.0,
 ) -> np.ndarray:  # fmt: skip
     """Blend colours, each by its depth's probability, a power of its source's nearness, and its trust.
 
@@ -28,14 +31,20 @@ def blended(
         nearness: (k,) float32 of the sources, 1 for the nearest.
         around: (3, h, w) float32 smooth colours without holes; they are blended in everywhere.
         trust: (3 k + 1, h, w) float32, above 0, of `source_trust`.
+        sharpness: Of the view, 0..1.
 
     Returns:
         (3, h, w) float32, about 0..1.
     """
     second = np.sort(nearness)[-2] if len(nearness) > 1 else np.float32(0.0)
-    beside = max(_LEAST_AROUND, _AROUND * second)
+    beside = max(_LEAST_AROUND, _AROUND * second) * trust[-1]
+    near, share = nearness**_NEARNESS_POWER, share + _OFFSET[:, None, None]
+    if sharpness > 0.0:
+        power = np.float32(_SHARP_POWER**sharpness)
+        near, share, trust = near**power, share**power, trust**power
+        beside *= np.float32(_SHARP_AROUND**sharpness)
     found = np.empty_like(around)
-    _blend(colour, seen, share, nearness**_NEARNESS_POWER, around, beside * trust[-1], trust, found)
+    _blend(colour, seen, share, near, around, beside, trust, found)
     return found
 
 
@@ -54,7 +63,7 @@ def _blend(colour, seen, share, near, around, beside, trust, found):  # type: ig
             for k in range(sources):
                 for c in range(columns):
                     if seen[k, d, r, c]:
-                        w = (share[d, r, c] + _OFFSET[d]) * near[k] * trust[d * sources + k, r, c]
+                        w = share[d, r, c] * near[k] * trust[d * sources + k, r, c]
                         whole[c] += w
                         found[0, r, c] += w * colour[k, 0, d, r, c]
                         found[1, r, c] += w * colour[k, 1, d, r, c]

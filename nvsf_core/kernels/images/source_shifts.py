@@ -37,13 +37,14 @@ _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 
 def brought_together(
     where: LookUp, likeliest: np.ndarray, colour: np.ndarray, seen: np.ndarray, around: np.ndarray,
-    weight: np.ndarray,
+    weight: np.ndarray, sharpness: float = 0.0,
 ) -> np.ndarray:  # fmt: skip
     """Colours of source images, each moved to where all of them together have what a pixel shows.
 
     Shifts are found from the colours at each pixel's likeliest depth, and move those at all its depths.
     A moved colour is the mean of two: what the source shows at the pixels around, each at its own depth,
     between which single pixels of a wrong depth vanish; and what it has at the moved place, which is sharper.
+    Of a view of full sharpness it is the latter alone.
 
     Args:
         where: k source images, and the d points of each pixel of a view of at least 2 x 2 pixels: its rays
@@ -53,6 +54,7 @@ def brought_together(
         seen: (k, d, h, w) bool, whether they do.
         around: (3, h, w) float32 colours where no source shows anything.
         weight: (k,) float32 of the sources; 1 = of the nearest.
+        sharpness: Of the view, 0..1.
 
     Returns:
         (k, 3, d, h, w) float32, bicubic, about 0..1; 0 where the source does not show the point.
@@ -62,11 +64,12 @@ def brought_together(
     for k in range(len(shown)):
         _align(target, np.where(is_shown[k], luma(shown[k]), target), is_shown[k], shift[k])
     _fit_depth(where.motions, where.rays, where.label, where.inverse, likeliest, is_shown, weight, shift)
+    again = np.float32(0.5 + 0.5 * sharpness)
     moved, filled = np.empty_like(colour), np.empty((*around.shape[1:], 4), np.float32)
     for k in range(len(colour)):
         for d in range(colour.shape[2]):
             _fill(colour[k, :, d], seen[k, d], around, filled)
-            _move(where, k, d, filled.reshape(-1), filled.shape, seen[k], shift[k], moved[k])
+            _move(where, k, d, filled.reshape(-1), filled.shape, seen[k], shift[k], again, moved[k])
     return moved
 
 
@@ -179,10 +182,10 @@ def _fill(colour, seen, around, filled):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _move(where, k, d, filled, size, seen, shift, moved):  # type: ignore[no-untyped-def]
+def _move(where, k, d, filled, size, seen, shift, again, moved):  # type: ignore[no-untyped-def]
     """Write the colours of source k beside all pixels that it shows at depth d; 0 for others.
 
-    Each is the mean of what it shows there, moved, and of what it has at the moved place.
+    Each is a mean of what it shows there, moved, and of what it has at the moved place.
 
     Args:
         where: As of `brought_together`.
@@ -192,6 +195,7 @@ def _move(where, k, d, filled, size, seen, shift, moved):  # type: ignore[no-unt
         size: Their shape (h, w, 4).
         seen: (d, h, w) bool.
         shift: (h, w, 2) in pixels.
+        again: Weight of the latter in the mean, 0..1.
         moved: (3, d, h, w), which is written.
     """
     image = where.images[where.chosen[k]]
@@ -222,7 +226,7 @@ def _move(where, k, d, filled, size, seen, shift, moved):  # type: ignore[no-unt
             ):
                 there = bicubic(pixels, image.shape, pixel, down, right)
                 for i in range(3):
-                    moved[i, d, r, c] = _HALF * (found[i] + there[i])
+                    moved[i, d, r, c] = (_ONE - again) * found[i] + again * there[i]
             else:
                 moved[0, d, r, c], moved[1, d, r, c], moved[2, d, r, c] = found
 

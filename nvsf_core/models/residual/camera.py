@@ -253,6 +253,7 @@ def camera_renderer(recording: Recording, spec: CameraSpec, weights: Weights) ->
             at, pinhole, lidar, shown[one.name], poses, spec, instant=one.instant, leave_out=others,
             moving=moving,
         )  # fmt: skip
+        view = replace(view, off_path_m=one.off_path_m(world.recording, at[:3, 3]))
         if camera in exposures:
             view = replace(view, log_gain=exposures[camera].at(place_s))
         found = render_view(view)

@@ -48,6 +48,15 @@ class SharedImages:
         """(n, 4, 4) of all images, camera to scene-local."""
         return np.concatenate([recording.cameras[camera].training.pose for camera in self.cameras])
 
+    def off_path_m(self, recording: Recording, place_m: np.ndarray) -> float:
+        """Distance, metres, of a place (3,), scene-local, from the paths of the cameras, image to image."""
+        paths = self.poses(recording)[:, :3, 3].reshape(len(self.cameras), self.count, 3)
+        starts, ends = paths[:, : max(1, self.count - 1)], paths[:, min(1, self.count - 1) :]
+        ahead, there = ends - starts, place_m - starts
+        length2 = np.maximum((ahead * ahead).sum(axis=2), np.finfo(np.float64).tiny)
+        share = np.clip((there * ahead).sum(axis=2) / length2, 0.0, 1.0)
+        return float(np.linalg.norm(there - share[..., None] * ahead, axis=2).min())
+
     def rgb(self, recording: Recording) -> np.ndarray:
         """(n, H, W, 3) uint8 of all images."""
         return np.concatenate([recording.cameras[camera].training.rgb for camera in self.cameras])

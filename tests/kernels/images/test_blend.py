@@ -63,3 +63,11 @@ def test_a_source_without_nearness_is_a_placeholder() -> None:
     first = blended(**given)
     given["colour"][1] = 1.0 - given["colour"][1]
     np.testing.assert_allclose(blended(**given), first, rtol=1e-5)
+
+
+def test_of_a_sharp_view_nearly_all_is_from_the_source_that_is_trusted_most() -> None:
+    given = inputs()
+    given["seen"][:], given["trust"][:], given["share"][:] = True, 1.0, 0.0
+    given["share"][0] = 1.0
+    apart = [np.abs(blended(**given, sharpness=s) - given["colour"][0, :, 0]).mean() for s in (0.0, 0.5, 1.0)]
+    assert apart[2] < 0.2 * apart[0] and apart[2] < apart[1] < apart[0]

@@ -150,3 +150,20 @@ def test_a_moving_object_is_read_where_its_own_motion_puts_it() -> None:
     )  # fmt: skip
     _, found = together(where)
     np.testing.assert_allclose(inner(found), np.stack([inner(picture())] * 2), atol=0.02)
+
+
+def test_of_a_sharp_view_colours_are_read_at_the_moved_place_alone() -> None:
+    # A pattern of four pixels loses contrast each time that it is read between pixels.
+    where = wall((-0.505, 0.505), (0.4, 0.0), (-0.4, 0.0))
+    column = np.arange(COLUMNS)
+    for k, right_px in enumerate((0.4 - 5.05, -0.4 + 5.05)):
+        where.images[k, ..., :3] += 0.1 * np.sin(1.6 * (column + right_px))[None, :, None]
+    colour, seen = look_up_points(where)
+    around = np.full((3, ROWS, COLUMNS), 0.5, np.float32)
+    read = [
+        brought_together(where, LIKELIEST, colour, seen, around, WEIGHT, sharpness)[:, :, 0]
+        for sharpness in (0.0, 0.5, 1.0)
+    ]
+    np.testing.assert_allclose(read[1], 0.5 * (read[0] + read[2]), atol=1e-6)
+    softened, _, sharp = (float(np.abs(np.diff(inner(each))).mean()) for each in read)
+    assert sharp > 1.005 * softened

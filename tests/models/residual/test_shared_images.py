@@ -84,6 +84,31 @@ def test_numbers_are_those_of_poses_images_and_instants(drive: Recording) -> Non
     assert shared.of_others(PAIR[0]) | shared.of_others(PAIR[1]) == set(range(2 * FRAMES))
 
 
+def test_the_distance_from_the_path_is_that_from_the_nearest_way_between_two_images(drive: Recording) -> None:
+    (shared,) = shared_by(drive, [PAIR])
+    left, right = (drive.cameras[camera].training.pose for camera in PAIR)
+    half_way_m = left[2:4, :3, 3].mean(axis=0)
+    assert shared.off_path_m(drive, half_way_m) < 1e-9
+    ahead, up = left[3, :3, 3] - left[2, :3, 3], np.array([0.0, 0.0, 1.0])
+    left_m = np.cross(up, ahead) / np.linalg.norm(np.cross(up, ahead))
+    assert shared.off_path_m(drive, half_way_m + 3.0 * left_m) == pytest.approx(3.0, abs=0.05)
+    to_right_m = np.linalg.norm(right[2, :3, 3] - left[2, :3, 3])
+    of_right = shared.off_path_m(drive, half_way_m - 3.0 * left_m)
+    assert of_right == pytest.approx(3.0 - to_right_m, abs=0.05), "of the nearer camera's path"
+    onwards = left[-1, :3, 3] - left[-2, :3, 3]
+    beyond_m = left[-1, :3, 3] + 2.0 * onwards / np.linalg.norm(onwards)
+    assert shared.off_path_m(drive, beyond_m) == pytest.approx(2.0, abs=0.6), "from the path's end"
+
+
+def test_the_path_of_one_image_is_its_place(drive: Recording) -> None:
+    images = drive.cameras[PAIR[0]].training
+    one = replace(images, pose=images.pose[:1], rgb=images.rgb[:1])
+    alone = replace(drive, cameras={PAIR[0]: replace(drive.cameras[PAIR[0]], training=one)})
+    (shared,) = shared_by(alone, [PAIR[:1]])
+    aside_m = images.pose[0, :3, 3] + np.array([0.0, 3.0, 4.0])
+    assert shared.off_path_m(alone, aside_m) == pytest.approx(5.0)
+
+
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_an_image_is_never_rendered_from_another_of_its_instant(drive: Recording, camera: str) -> None:
     one = shown(drive, camera)
