@@ -124,8 +124,8 @@ CAPABILITIES = (
         ("kernels/images/source_shifts.py", "kernels/images/first_blend.py", "kernels/images/window_mean.py"),
         "left-out images, aligned: k360_street 22.06 to 22.15 dB, SSIM .763 to .767; kitti0005 22.95 to "
         "23.08 dB, .739 to .744, LPIPS .087 to .090 (0048). Read again: - .011, - .009 dB, LPIPS - .0010, "
-        "- .0014; street with 2 m left out + .009 dB, - .0016 (0051). Off the path sharper: street's shift_3m "
-        "LPIPS .1435 to .1227 for - .3 dB (0055)",
+        "- .0014; street with 2 m left out + .009 dB, - .0016 (0051). Off the path sharper: street's "
+        "shift_3m LPIPS .1435 to .1227 for - .3 dB (0055)",
     ),
     Capability(
         "a view's depth: single pixels take that of those around them, surfaces lose their noise",

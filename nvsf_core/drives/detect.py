@@ -6,7 +6,10 @@ from pathlib import Path
 
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.entries import KITTI_ODOMETRY, SceneEntry
+from nvsf_core.drives.kitti360.frames import MOST_TIMESTAMP_BYTES
 from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.kitti360.scans import MOST_RETURNS
+from nvsf_core.drives.kitti360.text import read_bytes
 from nvsf_core.errors import DataError
 
 _WHOLE = (0, 1)
@@ -90,12 +93,15 @@ def _compensate(source: Path, kind: str, sequence: str) -> bool | None:
     """
     if kind == KITTI_ODOMETRY:
         scans = sorted((source / "sequences" / sequence / _TIMES_OF_POINTS).glob("*.bin"))
-        return True if any(path.read_bytes().strip(b"\0") for path in scans) else None
+        times = (read_bytes(path, 4 * MOST_RETURNS, "times of points") for path in scans)
+        return True if any(one.strip(b"\0") for one in times) else None
     if kind == "kitti360":
         layout = DriveLayout(source, sequence)
-        begin, end = (layout.timestamps_path(which) for which in ("start", "end"))
-        is_of_one_instant = begin.is_file() and end.is_file() and begin.read_bytes() == end.read_bytes()
-        return False if is_of_one_instant else None
+        paths = [layout.timestamps_path(which) for which in ("start", "end")]
+        if not all(path.is_file() for path in paths):
+            return None
+        begin, end = (read_bytes(path, MOST_TIMESTAMP_BYTES, "timestamps") for path in paths)
+        return False if begin == end else None
     return None
 
 

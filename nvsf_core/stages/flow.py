@@ -28,7 +28,7 @@ SWEEPS = Stage(
     group="ingest",
     inputs=("frames",),
     description="Every LiDAR return with its laser, firing and time, as the ray that measured it.",
-    version="11",
+    version="12",
     run=_later("sweeps", "run"),
     reads_drive=True,
     check=_later("checks.registration", "check_registration"),
@@ -50,7 +50,7 @@ UNDISTORTED = Stage(
     group="prepare",
     inputs=("frames",),
     description="Camera frames as pinhole images: perspective as rectified, fisheye undistorted, with masks.",
-    version="3",
+    version="4",
     run=_later("undistorted", "run"),
     estimate_bytes=_later("sizes", "undistorted_bytes"),
 )

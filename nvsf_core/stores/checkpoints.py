@@ -27,7 +27,11 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], meta: Mapping[str, A
     temporary = temporary_of(path)
     contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     try:
+        temporary.touch()
+        mode = temporary.stat().st_mode
         save_file(contiguous, str(temporary), metadata={"json": json.dumps(dict(meta or {}))})
+        # The library makes files that nobody but their owner may read; a home may be shared.
+        temporary.chmod(mode)
         with temporary.open("rb") as handle:
             os.fsync(handle.fileno())
         temporary.replace(path)

@@ -1,6 +1,7 @@
 """One drive in every format: each reader gives the same scans, images, poses, mounting and times."""
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -112,6 +113,11 @@ def test_our_own_sequence_of_kitti_is_imported_as_one_to_compensate(root, tmp_pa
     assert kept.is_to_compensate
     shutil.rmtree(tmp_path / "kitti/sequences/00/velodyne_time")
     assert not whole_drive(tmp_path / "kitti", "kitti_odometry").is_to_compensate, "the benchmark's own"
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "kitti/sequences/00/velodyne_time").mkdir()
+    (tmp_path / "kitti/sequences/00/velodyne_time/000000.bin").symlink_to(tmp_path / "pipe")
+    with pytest.raises(DataError, match="no times of points, expected a regular file"):
+        whole_drive(tmp_path / "kitti", "kitti_odometry")
 
 
 @pytest.mark.parametrize(("write", "kind"), [(write_kitti, "kitti_odometry"), (write_kitti360, "kitti360")])

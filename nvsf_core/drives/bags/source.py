@@ -6,12 +6,20 @@ middle is nearest, and is placed by the path at its own time.
 
 import re
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from nvsf_core.drives.bags.index import BagIndex, Stamped, index_of, median_step_s, open_bag, read_fault
+from nvsf_core.drives.bags.index import (
+    BagIndex,
+    Stamped,
+    header_of,
+    index_of,
+    median_step_s,
+    open_bag,
+    read_fault,
+)
 from nvsf_core.drives.bags.messages import (
     IMAGES,
     POINT_CLOUD,
@@ -218,21 +226,29 @@ class BagDrive(AbstractPosedDrive):
         with open_bag(self.scene.root) as reader:
             connections = [one for one in reader.connections if one.topic == topic]
             try:
-                for _, _, raw in reader.messages(
-                    connections=connections, start=message.kept_ns, stop=message.kept_ns + 1
-                ):
-                    return Recorded(self.scene.root / f"{topic.strip('/')}@{message.stamp_s:.6f}", bytes(raw))
+                kept = [
+                    bytes(raw) for _, _, raw in reader.messages(
+                        connections=connections, start=message.kept_ns, stop=message.kept_ns + 1
+                    )
+                ]  # fmt: skip
+                # By a simulated clock that ticks more slowly than a sensor, several are kept at once.
+                apart_s = [abs(header_of(raw, is_ros2=reader.is2)[0] - message.stamp_s) for raw in kept]
             except Exception as error:  # the library's errors on damaged bags have no common base
                 damaged = f"{topic} at {message.stamp_s:.6f} s cannot be read ({error!s:.200})"
                 raise read_fault(self.scene.root, error, damaged) from error
-        raise DataError(f"{self.scene.root}: {topic} at {message.stamp_s:.6f} s is gone; copy the bag again")
+        if not kept:
+            raise DataError(
+                f"{self.scene.root}: {topic} at {message.stamp_s:.6f} s is gone; copy the bag again"
+            )
+        name = f"{topic.strip('/')}@{message.stamp_s:.6f}"
+        return Recorded(self.scene.root / name, kept[int(np.argmin(apart_s))])
 
     def _message(self, found: Recorded, kinds: tuple[str, ...]) -> Any:
-        topic = "/" + str(found.path.relative_to(self.scene.root)).rpartition("@")[0]
+        topic = str(found.path.relative_to(self.scene.root)).rpartition("@")[0]
         with open_bag(self.scene.root) as reader:
             kind = next(
                 one.msgtype for one in reader.connections
-                if one.topic.strip("/") == topic.strip("/") and one.msgtype in kinds
+                if str(PurePosixPath(one.topic.strip("/"))) == topic and one.msgtype in kinds
             )  # fmt: skip
             try:
                 return reader.deserialize(found.data, kind)

@@ -22,7 +22,7 @@ UNLIKE = 0.1
 records all sweeps has the step's, which is measured over the whole section."""
 LONGEST_PAUSE_S = 10.0
 """Longest step within a section; after a longer one it is another recording, or the unit is wrong."""
-_MOST_TIME_BYTES = 64 * MIB
+MOST_TIMESTAMP_BYTES = 64 * MIB
 _MOST_LINES, _MOST_POSE_BYTES = 100_000, 32 * MIB
 """The longest drive of KITTI-360 has 15,000 frames, in 4 MB."""
 _LONGEST_SHOWN = 60
@@ -146,7 +146,7 @@ def read_timestamps(path: Path) -> np.ndarray:
         DataError: The file is too large or not text, or a line is not a time; file, line, remedy are named.
     """
     try:
-        lines = read_text(path, _MOST_TIME_BYTES).rstrip().splitlines()
+        lines = read_text(path, MOST_TIMESTAMP_BYTES).rstrip().splitlines()
     except (OSError, ValueError) as error:
         raise DataError(
             f"cannot read times {path} ({error}); restore the file, or remove it: {_WITHOUT}"

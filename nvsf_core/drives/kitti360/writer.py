@@ -1,8 +1,10 @@
 """Writing of a drive's files in KITTI-360's formats."""
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from html import escape
 from pathlib import Path
 from typing import Self
 
@@ -19,6 +21,7 @@ _CUBE = (
     "0.5 0.5 0.5 0.5 0.5 -0.5 0.5 -0.5 0.5 0.5 -0.5 -0.5 "
     "-0.5 0.5 -0.5 -0.5 0.5 0.5 -0.5 -0.5 -0.5 -0.5 -0.5 0.5"
 )
+_NOT_IN_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _CUBE_FACES = "0 1 3 0 3 2 5 4 6 5 6 7 0 5 4 0 4 1 2 3 6 2 6 7 0 2 7 0 7 5 1 4 6 1 6 3"
 
 
@@ -242,13 +245,18 @@ def _box_xml(index: int, box: WrittenBox) -> str:
         "start_frame": box.first_frame,
         "end_frame": box.last_frame,
     }
-    text = "".join(f"  <{key}>{value}</{key}>\n" for key, value in fields.items())
+    text = "".join(f"  <{key}>{_in_xml(value)}</{key}>\n" for key, value in fields.items())
     matrices = (
         _matrix_xml("transform", 4, 4, "f", " ".join(f"{v:.12e}" for v in box.box_to_world.ravel()))
         + _matrix_xml("vertices", 8, 3, "f", _CUBE)
         + _matrix_xml("faces", 12, 3, "i", _CUBE_FACES)
     )
     return f"<object{index}>\n{text}{matrices}</object{index}>\n"
+
+
+def _in_xml(value: object) -> str:
+    """A value as the text of an element; what XML has no character for is left out."""
+    return escape(_NOT_IN_XML.sub("", str(value)), quote=False)
 
 
 def _matrix_xml(name: str, rows: int, columns: int, kind: str, data: str) -> str:

@@ -20,12 +20,12 @@ _MATRIX = tuple(f"m{row}{column}" for row in range(3) for column in range(4))
 _SIZE = ("length", "width", "height")
 
 
-def read_columns(path: Path, text_columns: Sequence[str] = ()) -> dict[str, np.ndarray]:
+def read_columns(path: Path, text_columns: Sequence[str] = (), fewest_rows: int = 1) -> dict[str, np.ndarray]:
     """Columns of a CSV file by the name in its first row: float64, or text for those named.
 
     Raises:
-        DataError: It cannot be read, has no rows, or a cell is not a finite number; the message names the
-            row and column.
+        DataError: It cannot be read, has fewer rows than `fewest_rows`, or a cell is not a finite number; the
+            message names the row and column.
     """
     try:
         text = read_text(path, _MOST_BYTES)
@@ -34,7 +34,7 @@ def read_columns(path: Path, text_columns: Sequence[str] = ()) -> dict[str, np.n
         raise DataError(f"cannot read {path} ({error}); docs/drives.md says what it holds") from error
     rows = [row for row in rows if row and not row[0].lstrip().startswith("#")]
     names = [name.strip() for name in rows[0]] if rows else []
-    if len(rows) < 2 or len(set(names)) != len(names):
+    if len(rows) <= fewest_rows or not names or len(set(names)) != len(names):
         raise DataError(f"{path}: expected a row of different column names and then rows of numbers, found "
                         f"{len(rows)} rows, first {names!s:.100}")  # fmt: skip
     columns: dict[str, list[float | str]] = {name: [] for name in names}
@@ -152,9 +152,12 @@ def read_box_table(path: Path, frames: range) -> tuple[list[Box], list[str]]:
     Raises:
         DataError: See `read_columns`; or a column is absent.
     """
-    columns = read_columns(path, ("label",))
+    # A drive without objects has no rows.
+    columns = read_columns(path, ("label",), fewest_rows=0)
     numbers = ("frame", "object_id", "dynamic", *_PLACE, *_QUATERNION, *_SIZE)
     require_columns(columns, ("label", *numbers), path)
+    if len(columns["frame"]) == 0:
+        return [], []
     rows = _matrices(columns, path)
     boxes, left_out = [], []
     for k, row in enumerate(rows):

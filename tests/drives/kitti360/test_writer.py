@@ -77,6 +77,14 @@ def test_boxes_are_read_back(tmp_path):
     assert np.allclose(moving.box_to_world, pose, atol=1e-4)
 
 
+def test_any_label_comes_back(tmp_path: Path) -> None:
+    labels = ["Car & Trailer", "pedestrian <1m", "</label><object9>", "Großraum"]
+    boxes = [WrittenBox(k, label, True, 3, 0, 9, np.eye(4)) for k, label in enumerate(labels)]
+    write_boxes(tmp_path / "boxes.xml", [*boxes, WrittenBox(9, "be\x07ll", True, 3, 0, 9, np.eye(4))])
+    found, left_out = read_boxes(tmp_path / "boxes.xml", 0, 9)
+    assert [one.label for one in found] == [*labels, "bell"] and not left_out
+
+
 def test_boxes_keep_their_place_at_utm_coordinates(tmp_path):
     pose = np.diag([4.0, 1.8, 1.5, 1.0])
     pose[:3, 3] = 455_123.4567, 5_428_765.4321, 115.0
