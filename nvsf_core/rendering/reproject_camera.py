@@ -7,7 +7,6 @@ plane sweep between the two source images corrects that guess.
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -134,8 +133,8 @@ def inverse_depth(
         rows: Number of upper rows; None = all. The lowest of them are less exact, as points below them are
             ignored: ask for some more.
     """
-    seen = pinhole if rows is None else replace(pinhole, height=rows)
-    depth_m, gap_px = view_depth(target_pose, seen, depth_points_local)
+    seen = splat_points(target_pose, pinhole, depth_points_local, rows)
+    depth_m, gap_px = filled_depth(target_pose, pinhole, depth_points_local, seen)
     inverse = torch.from_numpy(1.0 / depth_m)
     if not sweep or len(images) != 2 or _distance(*source_poses) <= _BASELINE_FLOOR_M:
         return inverse
@@ -231,9 +230,15 @@ def view_label(
     return label
 
 
-def splat_points(pose: np.ndarray, pinhole: Pinhole, points_m: np.ndarray) -> np.ndarray:
-    """Depth (H, W) float32 in metres along z of the points (m, 3) that a view shows, inf between them."""
-    return splat_depth(points_m, invert_pose(pose), _intrinsics(pinhole), (pinhole.height, pinhole.width))
+def splat_points(
+    pose: np.ndarray, pinhole: Pinhole, points_m: np.ndarray, rows: int | None = None
+) -> np.ndarray:
+    """Depth (H, W) float32 in metres along z of the points (m, 3) that a view shows, inf between them.
+
+    `rows`: of so many upper rows only.
+    """
+    shape = pinhole.height if rows is None else rows, pinhole.width
+    return splat_depth(points_m, invert_pose(pose), _intrinsics(pinhole), shape)
 
 
 def _intrinsics(pinhole: Pinhole) -> tuple[float, float, float, float]:

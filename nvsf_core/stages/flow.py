@@ -19,7 +19,7 @@ FRAMES = Stage(
     group="ingest",
     inputs=(),
     description="Every frame of the drive: when and where it was taken, and whether it can be used.",
-    version="6",
+    version="7",
     run=_later("frames", "run"),
     reads_drive=True,
 )

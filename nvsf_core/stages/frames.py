@@ -138,6 +138,7 @@ def _checks(drive: Drive) -> list[Check]:
     usable |= {row.frame for row in drive.images if row.image_valid}
     training = [row.frame for row in drive.frames if row.split == "train" and row.frame in usable]
     held_out = [row for row in drive.frames if row.split == "test"]
+    placed = {row.frame for row in drive.frames if row.pose_valid}
     unplaced = [row.frame for row in drive.frames if not row.pose_valid]
     bad_scans = [
         f"{row.frame}: {row.reason}" for row in drive.frames if row.pose_valid and not row.scan_valid
@@ -145,7 +146,7 @@ def _checks(drive: Drive) -> list[Check]:
     bad_images = [
         f"{row.camera} {row.frame}: {row.reason}"
         for row in drive.images
-        if row.camera_to_world is not None and not row.image_valid
+        if row.frame in placed and not row.image_valid
     ]
     lost = [row.frame for row in held_out if row.frame not in usable]
     checks = [

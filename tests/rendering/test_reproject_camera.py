@@ -5,7 +5,13 @@ import torch
 from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.kernels.images.splat import splat_depth
-from nvsf_core.rendering.reproject_camera import FAR_M, nearest_sources, render_by_warping, view_depth
+from nvsf_core.rendering.reproject_camera import (
+    FAR_M,
+    inverse_depth,
+    nearest_sources,
+    render_by_warping,
+    view_depth,
+)
 from nvsf_core.rendering.warping import ray_length
 
 CAMERA = Pinhole(fx=80.0, fy=80.0, cx=63.5, cy=31.5, width=128, height=64)
@@ -55,6 +61,14 @@ def test_a_pixel_is_as_far_away_as_the_wall_along_its_ray() -> None:
     np.testing.assert_allclose(view.range_m, WALL_M / rays[..., 2], rtol=1e-4)
     lengths = ray_length(torch.tensor([[0.0, -1e-3]]), Pinhole(fx=1, fy=1, cx=0, cy=0, width=2, height=1))
     assert torch.isinf(lengths).all(), "inverse depths that refining moved beyond infinity"
+
+
+def test_of_a_camera_that_looks_down_few_upper_rows_may_be_asked() -> None:
+    # Its optical axis is far below them.
+    given = pose(0.0), CAMERA, wall_points(), torch.zeros(1, 3, 64, 128), pose(0.0)[None]
+    upper = inverse_depth(*given, rows=10)
+    assert upper.shape == (10, 128)
+    torch.testing.assert_close(upper[:6], inverse_depth(*given)[:6], rtol=1e-4, atol=0.0)
 
 
 def test_a_target_at_a_source_gives_that_image() -> None:

@@ -8,10 +8,13 @@ import pytest
 from nvsf_core.drives.catalogue import SceneEntry, load_catalogue
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.writer import write_frame_poses
+from nvsf_core.drives.plain.layout import PlainLayout
+from nvsf_core.drives.plain.writer import write_image_times
 from nvsf_core.errors import CheckFailedError, DataError
 from nvsf_core.geometry.se3 import pose_from_parts, pose_of_angles
 from nvsf_core.recipe import preset
 from nvsf_core.stages import flow
+from nvsf_core.stages.imports.convert import import_drive
 from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.runner.execution import StagePlace, run_stage
 from nvsf_core.stages.runner.stage import Outcome, RunConfig
@@ -135,6 +138,16 @@ def test_a_bad_image_does_not_cost_the_frame_its_scan_nor_the_reverse(tmp_path: 
     assert "truncated" in scans[14]["reason"] and "no scan file" in scans[15]["reason"]
     assert "no PNG" in images[11]["reason"] and "wrong size" in images[13]["reason"]
     assert scans[14]["pose_valid"] and scans[11]["reason"] == ""
+
+
+def test_images_of_another_clock_are_named_though_none_has_a_pose(tmp_path: Path) -> None:
+    import_drive(drive(tmp_path / "recorded"), tmp_path / "plain", progress=str)
+    layout = PlainLayout(tmp_path / "plain")
+    write_image_times(layout, "image_00", {frame: 500.0 + 0.1 * frame for frame in FRAMES})
+    (entry,) = load_catalogue([tmp_path / "plain/scenes.toml"], None)
+    outcome = run(entry, tmp_path / "home")
+    (found,) = [check for check in outcome.checks if check.name == "all_images_are_usable"]
+    assert not found.passed and f"{len(FRAMES)} images left out" in found.detail
 
 
 def test_a_lidar_only_drive_passes(tmp_path: Path) -> None:
