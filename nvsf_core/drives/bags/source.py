@@ -225,23 +225,26 @@ class BagDrive(AbstractPosedDrive):
     def _recorded(self, topic: str, message: Stamped) -> Recorded:
         with open_bag(self.scene.root) as reader:
             connections = [one for one in reader.connections if one.topic == topic]
+            found, least_s = None, np.inf
             try:
-                kept = [
-                    bytes(raw) for _, _, raw in reader.messages(
-                        connections=connections, start=message.kept_ns, stop=message.kept_ns + 1
-                    )
-                ]  # fmt: skip
                 # By a simulated clock that ticks more slowly than a sensor, several are kept at once.
-                apart_s = [abs(header_of(raw, is_ros2=reader.is2)[0] - message.stamp_s) for raw in kept]
+                for _, _, raw in reader.messages(
+                    connections=connections, start=message.kept_ns, stop=message.kept_ns + 1
+                ):
+                    apart_s = abs(header_of(raw, is_ros2=reader.is2)[0] - message.stamp_s)
+                    if apart_s < least_s:
+                        found, least_s = bytes(raw), apart_s
+                    if apart_s == 0.0:
+                        break
             except Exception as error:  # the library's errors on damaged bags have no common base
                 damaged = f"{topic} at {message.stamp_s:.6f} s cannot be read ({error!s:.200})"
                 raise read_fault(self.scene.root, error, damaged) from error
-        if not kept:
+        if found is None:
             raise DataError(
                 f"{self.scene.root}: {topic} at {message.stamp_s:.6f} s is gone; copy the bag again"
             )
         name = f"{topic.strip('/')}@{message.stamp_s:.6f}"
-        return Recorded(self.scene.root / name, kept[int(np.argmin(apart_s))])
+        return Recorded(self.scene.root / name, found)
 
     def _message(self, found: Recorded, kinds: tuple[str, ...]) -> Any:
         topic = str(found.path.relative_to(self.scene.root)).rpartition("@")[0]
