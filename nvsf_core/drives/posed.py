@@ -108,7 +108,7 @@ class AbstractPosedDrive(AbstractDrive):
         """
 
     def image_seconds(self, camera: str) -> dict[int, float]:
-        """Time of each image of a camera, by frame; empty = the frames' own."""
+        """Time of each image of a camera, by frame; empty = the frames' own, as they are recorded."""
         return {}
 
     @property
@@ -205,9 +205,19 @@ class AbstractPosedDrive(AbstractDrive):
         found = np.where(wanted > frames[-1], seconds[-1] + step_s * (wanted - frames[-1]), found)
         return spaced_times(found - found[0], period_s, self.times_source)
 
+    def _own_moment_s(self, camera: str, frame: int) -> float | None:
+        """When an image was taken, where that is another moment than the instant of its frame's pose.
+
+        Without times of its own it has the frame's, as recorded: only the scan's instant is moved.
+        """
+        seconds = self.image_seconds(camera)
+        if not seconds and self.stamp_shift_s:
+            seconds = self._seconds
+        return seconds.get(frame)
+
     def image_delay_s(self, camera: str, frame: int) -> float | None:
-        """Seconds from the instant of a frame's pose to the image, where images have times of their own."""
-        moment_s, instant_s = self.image_seconds(camera).get(frame), self.instant_s(frame)
+        """Seconds from the instant of a frame's pose to the image; None where it is of that instant."""
+        moment_s, instant_s = self._own_moment_s(camera, frame), self.instant_s(frame)
         return None if moment_s is None or instant_s is None else moment_s - instant_s
 
     def instant_s(self, frame: int) -> float | None:
@@ -258,7 +268,7 @@ class AbstractPosedDrive(AbstractDrive):
 
     def pose_at_image(self, camera: str, frame: int, pose: np.ndarray) -> np.ndarray:
         """The path's pose at the image's own time, if it has one."""
-        moment_s = self.image_seconds(camera).get(frame)
+        moment_s = self._own_moment_s(camera, frame)
         if moment_s is None:
             return pose
         found = self._path.at(moment_s)

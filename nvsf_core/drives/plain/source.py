@@ -212,9 +212,18 @@ class PlainDrive(AbstractPosedDrive):
         return scan_of_columns(found.path, columns, self._description.intensity_max, stamp_s)
 
     def find_image(self, camera: str, frame: int, width: int, height: int) -> Recorded | None:
-        """The bytes of a PNG or JPEG."""
+        """The bytes of a PNG or JPEG; refused where the camera's images have times, and this one has none."""
         path = self._images.get(camera, {}).get(frame)
-        return None if path is None else Recorded(path, read_image_bytes(path, width, height))
+        if path is None:
+            return None
+        seconds = self.image_seconds(camera)
+        if seconds and frame not in seconds:
+            place = self.layout.image_times_path(camera)
+            raise DataError(
+                f"{place}: expected the time of {path.name}, found none of frame {frame}; add its row, or "
+                "remove the file where all images are of their frame's time"
+            )
+        return Recorded(path, read_image_bytes(path, width, height))
 
     def parse_image(self, camera: str, found: Recorded, width: int, height: int) -> np.ndarray:
         """Decode an image and take out the distortion that the flow has no model of."""

@@ -9,8 +9,17 @@ from nvsf_core.drives.drive import DriveFacts, drive_of
 from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.drives.plain.layout import PlainLayout
 from nvsf_core.drives.plain.tables import read_box_table
-from nvsf_core.drives.plain.writer import write_description, write_plain_scan, write_poses
+from nvsf_core.drives.plain.writer import (
+    write_cameras,
+    write_description,
+    write_image_times,
+    write_plain_image,
+    write_plain_scan,
+    write_poses,
+)
+from nvsf_core.drives.validation import read_drive
 from nvsf_core.errors import DataError
+from nvsf_core.geometry.pinhole import Pinhole
 from tests.drives.copies import FRAMES, scene_at
 
 POINTS = 600
@@ -187,3 +196,42 @@ def test_a_drive_without_objects_has_a_table_of_boxes_without_rows(tmp_path):
     (tmp_path / "boxes.csv").write_text("")
     with pytest.raises(DataError, match="found 0 rows"):
         read_box_table(tmp_path / "boxes.csv", range(4))
+
+
+def _add_images(layout: PlainLayout) -> None:
+    write_cameras(layout, {"left": (Pinhole(50.0, 50.0, 32.0, 24.0, 64, 48), np.eye(4))})
+    rgb = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
+    for frame in range(FRAMES):
+        write_plain_image(layout, "left", frame, rgb)
+
+
+def _stamp_the_begin(layout: PlainLayout) -> None:
+    for frame in range(FRAMES):
+        path = layout.beside_path("time", frame)
+        (np.fromfile(path, "<f4") + np.float32(0.05)).tofile(path)
+
+
+@pytest.mark.parametrize("is_begin", [False, True])
+def test_images_without_times_are_of_their_frames_recorded_time(tmp_path, is_begin):
+    layout = _write(tmp_path, 0.1, 0.1)
+    _add_images(layout)
+    if is_begin:
+        _stamp_the_begin(layout)
+    scene = scene_at(tmp_path, "plain", cameras=("left",), first_frame=1, last_frame=2)
+    drive = drive_of(scene)
+    pose = drive.facts().poses[1]
+    assert pose[0, 3] == pytest.approx(1.5 if is_begin else 1.0, abs=0.01)  # the middle of the sweep
+    assert drive.pose_at_image("left", 1, pose)[0, 3] == pytest.approx(1.0)
+    delay_s = drive.image_delay_s("left", 1)
+    assert delay_s == pytest.approx(-0.05, abs=1e-3) if is_begin else delay_s is None
+
+
+def test_an_image_that_its_cameras_times_do_not_name_is_left_out(tmp_path):
+    layout = _write(tmp_path, 0.1, 0.1)
+    _add_images(layout)
+    write_image_times(layout, "left", {0: 0.01, 2: 0.21, 3: 0.31})
+    layout.images_dir("left").joinpath("0000000003.png").unlink()
+    rows = read_drive(scene_at(tmp_path, "plain", cameras=("left",)), lambda _: None).images
+    assert [row.image_valid for row in rows] == [True, False, True, False]
+    assert "times.csv: expected the time of 0000000001.png, found none of frame 1" in rows[1].reason
+    assert "no image file" in rows[3].reason
