@@ -82,7 +82,10 @@ def test_of_two_equally_near_recordings_the_earlier_is_copied() -> None:
     assert nearest_earlier(np.array([0.0, 0.15]), 0.1) == 1
 
 
-def test_copying_answers_only_with_the_same_laser_within_a_fifth_of_a_degree() -> None:
+@pytest.mark.parametrize(("firings", "aside_m"), [(2172, np.inf), (360, 7.0)])
+def test_copying_answers_with_the_same_laser_within_a_fifth_of_a_degree_or_half_a_step(
+    firings, aside_m
+) -> None:
     def at(degrees: float) -> np.ndarray:
         return np.array([[np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees)), 0.0]])
 
@@ -90,8 +93,9 @@ def test_copying_answers_only_with_the_same_laser_within_a_fifth_of_a_degree() -
     found, _ = copied_ranges(
         source, np.array([3, 3]), np.array([7.0, 8.0]), np.array([0.1, 0.2]),
         np.concatenate([at(10.1), at(10.3), at(10.0), at(-179.95)]), np.array([3, 3, 4, 3]),
+        firings=firings,
     )  # fmt: skip
-    assert found.tolist() == [7.0, np.inf, np.inf, 8.0]
+    assert found.tolist() == [7.0, aside_m, np.inf, 8.0]
 
 
 def still_sweep(mount: np.ndarray | None = None):

@@ -105,14 +105,14 @@ def copied_scans(lidar: LidarRecording, plan: SweepPlan) -> dict[str, np.ndarray
     scans, panos, rays, seconds = [], [], [], []
     for frame, instant in zip(plan.frame, plan.near, strict=True):
         started = time.perf_counter()
-        source = _nearest_training(sweeps, float(instant))
+        source, firings = _nearest_training(sweeps, float(instant))
         points_m, intensity, laser = a["points_m"][source], a["intensity"][source], a["laser"][source]
         scans.append((points_m, intensity, laser))
         panos.append(pano.project(points_m, intensity))
         seconds.append(time.perf_counter() - started)
         own = sweeps.returns_of(int(np.flatnonzero(a["frame"] == frame)[0]))
         aims = a["points_m"][own], a["laser"][own]
-        rays.append(copied_ranges(points_m, laser, a["range_m"][source], intensity, *aims))
+        rays.append(copied_ranges(points_m, laser, a["range_m"][source], intensity, *aims, firings=firings))
     arrays = _joined(scans)
     arrays["pano_range_m"] = np.stack([range_m for range_m, _ in panos])
     arrays["pano_intensity"] = np.stack([intensity for _, intensity in panos])
@@ -142,11 +142,11 @@ def copied_sweeps(
     scans, panos, rendered, seconds = [], [], [], []
     for instant, azimuth_rad in zip(plan.near, grid["grid_azimuth_rad"], strict=True):
         started = time.perf_counter()
-        source = _nearest_training(lidar.sweeps, float(instant))
+        source, fired = _nearest_training(lidar.sweeps, float(instant))
         scan = (a["points_m"][source], a["intensity"][source], a["laser"][source])
         towards = np.stack([np.cos(azimuth_rad).ravel(), np.sin(azimuth_rad).ravel()], axis=1)
         centre_m = np.linalg.norm(scan[0], axis=1)
-        rendered.append(copied_ranges(scan[0], scan[2], centre_m, scan[1], towards, laser))
+        rendered.append(copied_ranges(scan[0], scan[2], centre_m, scan[1], towards, laser, firings=fired))
         scans.append(scan)
         panos.append(pano.project(scan[0], scan[1]))
         seconds.append(time.perf_counter() - started)
@@ -162,10 +162,11 @@ def copied_sweeps(
     }  # fmt: skip
 
 
-def _nearest_training(sweeps: Sweeps, time_s: float) -> slice:
-    """The returns of the training scan nearest in time."""
+def _nearest_training(sweeps: Sweeps, time_s: float) -> tuple[slice, int]:
+    """The returns of the training scan nearest in time, and its firings."""
     training = np.flatnonzero(sweeps.is_training)
-    return sweeps.returns_of(int(training[nearest_earlier(sweeps.arrays["time_s"][training], time_s)]))
+    scan = int(training[nearest_earlier(sweeps.arrays["time_s"][training], time_s)])
+    return sweeps.returns_of(scan), int(sweeps.arrays["firings"][scan]) or sweeps.table.firings_per_turn
 
 
 def warm_up(lidar: LidarRecording, renderers: Iterable[RayRenderer]) -> None:
