@@ -15,6 +15,7 @@ import numpy as np
 from scipy import ndimage
 
 from nvsf_core.errors import DataError
+from nvsf_core.sensors.beam_table import firing_phase
 
 GAP_CELLS = 2000
 """Cells around the sensor."""
@@ -87,6 +88,12 @@ class DropPrior:
         left = np.maximum(right - 1, 0)
         nearest: np.ndarray = np.where(fraction - firings[left] < firings[right] - fraction, left, right)
         return nearest
+
+    def firing_phase(self) -> float:
+        """The `firing_phase` of all scans."""
+        count = np.isfinite(self.fraction).sum(axis=1, keepdims=True)
+        steps = (self.fraction.astype(np.float64) + 0.5) * count
+        return firing_phase(steps[self.is_hit.any(axis=1)])
 
     def firings_of(self, scan: int) -> int:
         """Number of firings in a scan."""

@@ -285,6 +285,11 @@ class LidarRecording:
         return float(self.sweeps.table.max_range_m)
 
     @cached_property
+    def firing_phase(self) -> float:
+        """The `phase` of a sweep of the recording sensor: its scans', one half where they have none."""
+        return self.evidence.prior.firing_phase()
+
+    @cached_property
     def scan_grids(self) -> RecordedSweeps:
         """The training scans by laser and firing, for looking points up in them."""
         return recorded_sweeps(self.sweeps, self.evidence)

@@ -14,6 +14,11 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.sensors.linear_pano import project_nearest
 from nvsf_core.sensors.tables import LaserTable
 
+_LEAST_CONCENTRATION = 0.9
+"""Length of the mean of unit vectors at the firings' phases, from which on they agree on one."""
+_ROUNDING_STEPS = 1e-3
+"""Phases are known to this."""
+
 
 def sensor_rays(
     table: LaserTable, azimuth_rad: np.ndarray, laser: np.ndarray
@@ -123,6 +128,19 @@ def firing_grid(table: LaserTable, firings: int, phase: float = 0.5) -> tuple[np
     fraction = (np.arange(firings) + phase) / firings - 0.5
     shift_rad = (table.phase_steps - table.firing_shift_steps) * table.step_rad
     return wrap_angle(-2.0 * np.pi * fraction[None, :] + shift_rad[:, None]), fraction
+
+
+def firing_phase(steps: np.ndarray) -> float:
+    """The `phase` of a `firing_grid`, 0..1, on which firings at steps (n,) >= 0 after its begin agree.
+
+    One half where they do not: a sensor that turns freely begins each sweep at another one.
+    """
+    mean = np.exp(2j * np.pi * steps).mean() if len(steps) else 0.0
+    if abs(mean) < _LEAST_CONCENTRATION:
+        return 0.5
+    phase = float(np.mod(np.angle(mean) / (2.0 * np.pi), 1.0))
+    # A phase of 0 must not become 1 by rounding: the sweep's first firing would be its last.
+    return 0.0 if phase > 1.0 - _ROUNDING_STEPS else phase
 
 
 def wrap_angle(angle_rad: np.ndarray) -> np.ndarray:

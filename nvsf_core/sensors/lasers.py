@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.sensors.beam_table import encoder_angle, wrap_angle
+from nvsf_core.sensors.beam_table import encoder_angle, firing_phase, wrap_angle
 from nvsf_core.sensors.tables import LaserTable
 
 FILE_ORDER = "file_order"
@@ -81,7 +81,8 @@ def recover_firings(
     column_l = round(theta / step - phase_l), firing column = (column_l + firing_shift_l) mod lattice. Columns
     that at least an eighth of the lasers share are the firings; a return between two belongs to the nearest.
     Of a sensor that fires at every step of its encoder all steps are, also those that look into the sky.
-    Without a lattice, the sweep is divided evenly, by the spacing of the lasers' returns.
+    Without a lattice, the sweep is divided evenly, by the spacing of the lasers' returns, about the phase on
+    which they agree.
 
     Returns:
         firing (N,) int16, by time, -1 unknown; azimuth (F,) of the common firing columns in radians,
@@ -111,9 +112,10 @@ def recover_firings(
     if count > _most_firings(table):
         said = f"{count} firings by the returns' spacing, {table.name} has at most {_most_firings(table)}"
         return firing, np.zeros(0), f"firings unknown: {said}"
-    gone_by_turns = (np.pi - wrap_angle(shifted)) / (2.0 * np.pi)
-    firing[known] = np.floor(gone_by_turns * count).astype(np.int64) % count
-    azimuth_rad = np.pi - (np.arange(count) + 0.5) * (2.0 * np.pi / count)
+    steps = (np.pi - wrap_angle(shifted)) * (count / (2.0 * np.pi))
+    phase = firing_phase(steps)
+    firing[known] = np.floor(steps - phase + 0.5).astype(np.int64) % count
+    azimuth_rad = np.pi - (np.arange(count) + phase) * (2.0 * np.pi / count)
     return firing, azimuth_rad, f"no encoder lattice; {count} firings by the returns' spacing"
 
 

@@ -90,7 +90,7 @@ def fire_sweep(
     plan: SweepPlan,
     time_s: float,
     *,
-    phase: float = 0.5,
+    phase: float | None = None,
     leave_out_s: float | None = None,
     lookups: ScanLookups | None = None,
 ) -> tuple[SweepRays, RenderedRays]:
@@ -102,7 +102,8 @@ def fire_sweep(
         plan: The sensor and its mounting; if it has a path of its own or other moments on it, a plan of this
             instant only (`ViewPlan.only`).
         time_s: The sweep's instant, seconds since the first frame.
-        phase: Offset of the firings' azimuths, 0..1 of the step from firing to firing.
+        phase: Offset of the firings' azimuths, 0..1 of the step from firing to firing; None = that of the
+            recording sensor's scans, one half where they have none, and of other sensors.
         leave_out_s: The training scan of this time is ignored; None = all are used.
         lookups: In the training scans of the hit prior, for whoever asks of the same sweep afterwards; None =
             nobody does.
@@ -113,11 +114,14 @@ def fire_sweep(
     near = _near_scans(model, lidar, plan, time_s, leave_out_s) if lookups is None else lookups.scans
     if plan.is_recorded_sensor:
         lasers, firings = evidence.lasers.astype(np.int64), round(float(evidence.firings[near].mean()))
+        usual_phase = lidar.firing_phase
     else:
         lasers, firings = np.arange(plan.table.laser_count), plan.table.firings_per_turn
+        usual_phase = 0.5
     rays = sweep_rays(
         plan.table, lasers, firings, plan.path or sweeps.trajectory, plan.moment_s(time_s),
-        plan.sweep_s(sweeps.period_s) * plan.path_rate, mount=plan.mount, phase=phase,
+        plan.sweep_s(sweeps.period_s) * plan.path_rate, mount=plan.mount,
+        phase=usual_phase if phase is None else phase,
         clock=sweeps.clock_near(near_s) if plan.is_recorded_sensor else None,
     )  # fmt: skip
     fired_s = plan.fired_s(time_s, rays.elapsed, sweeps.period_s)

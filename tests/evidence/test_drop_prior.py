@@ -1,5 +1,7 @@
 """Laws of the drop votes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,6 +22,16 @@ def three_scans():
         np.array(lasers), np.array(firings), np.array(fractions), np.concatenate([[0], np.cumsum(lengths)]),
         np.array([4, 4, 4]), np.array([0.0, 0.1, 0.2]), lasers=2, nominal_firings=4,
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.3])
+def test_firings_that_agree_in_all_scans_have_a_phase(phase) -> None:
+    prior = three_scans()
+    assert prior.firing_phase() == pytest.approx(0.5)
+    moved = replace(prior, fraction=prior.fraction + np.float32((phase - 0.5) / 4))
+    assert moved.firing_phase() == pytest.approx(phase, abs=1e-6)
+    turned = moved.fraction + np.linspace(0.0, 0.25, 3, dtype=np.float32)[:, None]
+    assert replace(prior, fraction=turned).firing_phase() == 0.5
 
 
 def test_a_beam_that_never_returned_gets_no_vote() -> None:

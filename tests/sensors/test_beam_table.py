@@ -6,6 +6,7 @@ from nvsf_core.sensors.beam_table import (
     corrected_rays,
     encoder_angle,
     firing_grid,
+    firing_phase,
     recorded_ray_of_points,
     sensor_rays,
     turn_up,
@@ -120,3 +121,13 @@ def test_points_of_a_beam_image_project_back_to_it():
 def test_returns_of_unknown_lasers_are_left_out():
     image_m, _ = BeamPano(HDL_64E).project(np.ones((5, 3)), np.ones(5), np.full(5, -1))
     assert not image_m.any()
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.9])
+def test_firings_that_agree_have_their_phase_and_others_the_mean(phase):
+    rng = np.random.default_rng(0)
+    steps = np.arange(500) + phase
+    assert firing_phase(steps + rng.normal(0.0, 0.03, 500)) == pytest.approx(phase, abs=0.01)
+    assert firing_phase(steps + rng.uniform(0.0, 1.0, 500)) == 0.5
+    assert firing_phase(steps - 1e-6) == pytest.approx(phase, abs=1e-5)  # 0 does not become 1
+    assert firing_phase(np.zeros(0)) == 0.5

@@ -99,6 +99,20 @@ def test_off_the_lattice_firings_come_from_the_spacing(simulated_scan):
     np.testing.assert_array_equal(timing.laser, laser)  # returns turned across azimuth 0 included
 
 
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.5, 0.97])
+def test_off_the_lattice_firings_lie_where_their_returns_do(phase):
+    count = 720
+    turned = (np.arange(count) + phase) / count
+    laser, firing = (one.ravel() for one in np.meshgrid(np.arange(16), np.arange(count), indexing="ij"))
+    azimuth = wrap_angle(np.pi - 2.0 * np.pi * turned)[firing]
+    origin, direction = sensor_rays(VLP_16, azimuth, laser)
+    ring = (15 - laser).astype(np.int64)
+    timing = scan_timing((origin + 9.0 * direction).astype(np.float32), VLP_16, ring=ring)
+    assert "no encoder lattice" in timing.evidence and timing.firings == count
+    np.testing.assert_array_equal(timing.firing, firing)
+    np.testing.assert_allclose(timing.sweep_fraction, turned[firing] - 0.5, atol=1e-5)
+
+
 def test_a_sensor_that_is_not_the_tables_stays_unknown(simulated_scan):
     points, _, _ = simulated_scan(VLP_16, np.arange(16), 500)
     timing = scan_timing(points, HDL_64E)

@@ -115,3 +115,18 @@ def test_its_intensity_has_the_laser_s_gain_and_answers_stay_as_they_were() -> N
         nothing, of_unknown([]), place, place, unsure, np.zeros(2), np.array([9, -1]), table
     )
     assert same is nothing
+
+
+@pytest.mark.parametrize("is_recorded_sensor", [True, False])
+def test_a_sweep_of_the_recording_sensor_has_the_phase_of_its_scans(is_recorded_sensor: bool) -> None:
+    recorded = scene()
+    evidence = recorded.evidence
+    quarter = evidence.prior.fraction - np.float32(0.25 / FIRINGS)
+    prior = replace(evidence.prior, fraction=quarter)
+    moved = LidarRecording(sweeps=recorded.sweeps, evidence=replace(evidence, prior=prior))
+    plan = replace(IN_PLACE, is_recorded_sensor=is_recorded_sensor)
+    model = SceneModel(lidar=answers_half, camera=None, prior_scans=SCANS)
+    rays, _ = fire_sweep(model, moved, plan, PERIOD_S)
+    count = rays.shape[1]
+    steps = (rays.fraction[:count] + 0.5) * count - np.arange(count)
+    assert steps == pytest.approx(0.25 if is_recorded_sensor else 0.5, abs=1e-3)

@@ -27,8 +27,8 @@ def copied_ranges(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Range (r,) float32 in metres and intensity (r,) float32 of r rays, copied from another scan.
 
-    A ray gets the return of the same laser that is nearest in azimuth, within 0.18 degrees or half a step from
-    firing to firing; without one its range is infinite and its intensity 0.
+    A ray gets the return of the same laser that is nearest in azimuth, within 0.18 degrees or half a step
+    from firing to firing; without one its range is infinite and its intensity 0.
 
     Args:
         copied_points_m: (n, 3) returns of the copied scan, in the sensor's frame.
