@@ -30,7 +30,8 @@ def quarter_of_rays(lidar: LidarRecording, plan: SweepPlan, time_s: float, prior
     near = evidence.prior.nearest_scans(time_s, prior_scans)
     firings = round(float(evidence.firings[near].mean()))
     lasers = evidence.lasers.astype(np.int64)
-    rays = sweep_rays(plan.table, lasers, firings, sweeps.trajectory, time_s, sweeps.period_s)
+    path, period_s = sweeps.trajectory, sweeps.period_s
+    rays = sweep_rays(plan.table, lasers, firings, path, time_s, period_s, phase=lidar.firing_phase)
     return _only(rays, _in_sectors(rays))
 
 
