@@ -1,11 +1,12 @@
 """Surfels: the surface in each voxel, and how often the voxel stopped a ray or let it pass."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
+from nvsf_core.evidence.voxel_planes import VoxelPlanes, joined_planes, own_planes
 from nvsf_core.geometry.voxels import VoxelIndex, index_points, occupied_bits, voxel_moments
 from nvsf_core.kernels.voxel_march import (
     VoxelSurfaces,
@@ -14,8 +15,6 @@ from nvsf_core.kernels.voxel_march import (
     find_candidates,
 )
 
-MIN_PLANE_RETURNS = 5
-PLANE_EIGENVALUE_RATIO = 4.0
 _MISSED_PLANE_SHARE, _MISSED_SHAPE_SHARE = 0.1, 0.03
 _STOP_TRANSMITTANCE = 0.005
 _VOXEL_MARGIN, _SHAPE_MARGIN = 1.0, 0.5
@@ -143,10 +142,11 @@ def build_surfels(
 ) -> Surfels:
     """Surfels of the returns of rays.
 
-    Without shapes, a ray passes through every voxel that it crosses up to one voxel before its return. With
-    shapes, it passes through a voxel only if it comes as near to the voxel's returns as one of them would,
-    and leaves it half a voxel before its own return. So a road stays opaque below rays that graze it, and a
-    wall beside a gap. `reproject` needs shapes; a field learns less from them (decision 0013).
+    Without shapes, a ray passes through every voxel that it crosses up to one voxel before its return, and
+    planes are those of the returns around a voxel too (`joined_planes`). With shapes, it passes through a
+    voxel only if it comes as near to the voxel's returns as one of them would, and leaves it half a voxel
+    before its own return. So a road stays opaque below rays that graze it, and a wall beside a gap.
+    `reproject` needs shapes; a field learns less from them (decision 0013).
 
     Args:
         origin_m: (n, 3) scene-local, metres.
@@ -159,10 +159,12 @@ def build_surfels(
         shaped: Whether surfels get shapes (`Surfels.precision`).
     """
     returns = _returns(origin_m, direction, range_m, intensity, voxel_m=voxel_m, is_surface=is_surface)
+    if not shaped:
+        returns = returns.joined()
     precision = returns.precision() if shaped else _NO_SHAPES
     (passes,) = count_passes(
         *returns.rays, returns.stops_m(_SHAPE_MARGIN if shaped else _VOXEL_MARGIN), returns.index,
-        returns.mean_m, precision,
+        returns.planes.mean_m, precision,
     )  # fmt: skip
     return returns.surfels(precision, passes)
 
@@ -189,10 +191,10 @@ def build_both(
     returns = _returns(origin_m, direction, range_m, intensity, voxel_m=voxel_m, is_surface=is_surface)
     precision = returns.precision()
     passes, crossed = count_passes(
-        *returns.rays, returns.stops_m(_SHAPE_MARGIN), returns.index, returns.mean_m, precision,
+        *returns.rays, returns.stops_m(_SHAPE_MARGIN), returns.index, returns.planes.mean_m, precision,
         returns.stops_m(_VOXEL_MARGIN),
     )  # fmt: skip
-    return returns.surfels(_NO_SHAPES, crossed), returns.surfels(precision, passes)
+    return returns.joined().surfels(_NO_SHAPES, crossed), returns.surfels(precision, passes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,11 +205,9 @@ class _Returns:
     """Origins and directions (n, 3) float32."""
     range_m: np.ndarray
     index: VoxelIndex
-    mean_m: np.ndarray
+    planes: VoxelPlanes
     covariance: np.ndarray
     """(v, 3, 3) float64, m^2."""
-    normal: np.ndarray
-    thickness_m: np.ndarray
     hits: np.ndarray
     intensity: np.ndarray
 
@@ -216,15 +216,20 @@ class _Returns:
         found: np.ndarray = np.maximum(self.range_m - margin * self.index.voxel_m, 0).astype(np.float32)
         return found
 
+    def joined(self) -> "_Returns":
+        """The same with the planes of the voxels around each too."""
+        return replace(self, planes=joined_planes(self.index, self.planes, self.covariance, self.hits))
+
     def precision(self) -> np.ndarray:
         """The surfels' shapes (v, 6)."""
         return _precision(self.covariance, self.hits, self.index.voxel_m)
 
     def surfels(self, precision: np.ndarray, passes: np.ndarray) -> Surfels:
         """With shapes (v, 6), or (0, 6) without, and passes (v,)."""
+        planes = self.planes
         return Surfels(
-            index=self.index, mean_m=self.mean_m, normal=self.normal, precision=precision,
-            thickness_m=self.thickness_m, intensity=self.intensity, hits=self.hits.astype(np.int32),
+            index=self.index, mean_m=planes.mean_m, normal=planes.normal, precision=precision,
+            thickness_m=planes.thickness_m, intensity=self.intensity, hits=self.hits.astype(np.int32),
             passes=passes,
         )  # fmt: skip
 
@@ -244,12 +249,12 @@ def _returns(
     index, voxel = index_points(points, voxel_m)
     hits = np.bincount(voxel, minlength=index.voxel_count)
     mean, covariance = voxel_moments(points, voxel, hits)
-    normal, thickness_m = _planes(covariance, hits)
+    planes = own_planes(mean.astype(np.float32), covariance, hits)
     shine = np.bincount(voxel, weights=intensity[kept], minlength=index.voxel_count)
     return _Returns(
         rays=(np.ascontiguousarray(origin_m, np.float32), np.ascontiguousarray(direction, np.float32)),
-        range_m=range_m, index=index, mean_m=mean.astype(np.float32), covariance=covariance, normal=normal,
-        thickness_m=thickness_m, hits=hits, intensity=(shine / hits).astype(np.float32),
+        range_m=range_m, index=index, planes=planes, covariance=covariance, hits=hits,
+        intensity=(shine / hits).astype(np.float32),
     )  # fmt: skip
 
 
@@ -274,14 +279,6 @@ def candidates_of(
         surfels.walk_limits(near_m, far_m, most),
     )
     return Candidates(range_m, voxel, opacity, cosine)
-
-
-def _planes(covariance: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normals (v, 3) float32, 0 where returns are too few or no plane, and thickness (v,) in metres."""
-    values, vectors = np.linalg.eigh(covariance)
-    planar = (hits >= MIN_PLANE_RETURNS) & (values[:, 1] > PLANE_EIGENVALUE_RATIO * values[:, 0])
-    normal = np.where(planar[:, None], vectors[:, :, 0], 0.0).astype(np.float32)
-    return normal, np.sqrt(np.maximum(values[:, 0], 0.0)).astype(np.float32)
 
 
 def _precision(covariance: np.ndarray, hits: np.ndarray, voxel_m: float) -> np.ndarray:
