@@ -42,5 +42,7 @@ class CameraRecording:
     """(m,) frame numbers with an image, held-out ones included, ascending."""
     recorded_time_s: np.ndarray
     """(m,) instants of these images, likewise."""
+    recorded_pose: np.ndarray
+    """(m, 4, 4) float64 camera to scene-local at these instants."""
     in_lidar: np.ndarray
     """(4, 4) mounting: camera to the drive's LiDAR frame."""

@@ -56,6 +56,9 @@ class ViewPlan:
     """Seconds of the scene that go by in a second of the sensor's: 1 as recorded, 0 = frozen."""
     path_rate: float = field(default=1.0, kw_only=True)
     """Seconds of the path that go by in a second of the sensor's."""
+    given_poses: np.ndarray | None = field(default=None, kw_only=True)
+    """(n, 4, 4) scene-local poses that the drive itself gives the LiDAR at these instants: they may lie off
+    the path between its frames' poses, and beyond its ends. None = those of the path, mounted."""
 
     @property
     def is_as_recorded(self) -> bool:
@@ -94,9 +97,11 @@ class ViewPlan:
         part = slice(number, number + 1)
         own_s = None if self.path_time_s is None else self.path_time_s[part]
         near_s = None if self.near_s is None else self.near_s[part]
+        given = None if self.given_poses is None else self.given_poses[part]
         return replace(
-            self, frame=self.frame[part], time_s=self.time_s[part], path_time_s=own_s, near_s=near_s
-        )
+            self, frame=self.frame[part], time_s=self.time_s[part], path_time_s=own_s, near_s=near_s,
+            given_poses=given,
+        )  # fmt: skip
 
     @property
     def near(self) -> np.ndarray:
@@ -113,6 +118,8 @@ class ViewPlan:
 
     def poses(self, recorded: Trajectory) -> np.ndarray:
         """(n, 4, 4) scene-local poses of the view's LiDAR; `recorded` is the drive's path."""
+        if self.given_poses is not None:
+            return self.given_poses
         poses = pose_from_parts(*(self.path or recorded).at(self.moments_s))
         return poses if self.mount is None else poses @ self.mount
 

@@ -118,13 +118,14 @@ def _read_cameras(
         used = np.array([row_of[number]["split"] == "train" for number in frame.tolist()], np.bool_)
         if not used.any():
             continue
-        local = poses_in(scene_to_world, pose[used])
+        local, seen = poses_in(scene_to_world, pose), np.flatnonzero(valid.reshape(-1))
         found[name] = CameraRecording(
-            training=CameraImages(pinhole_of(facts), rgb[used], local, np.flatnonzero(valid.reshape(-1))),
+            training=CameraImages(pinhole_of(facts), rgb[used], local[used], seen),
             training_time_s=time_s[used],
             training_frame=frame[used],
             recorded_frame=frame,
             recorded_time_s=time_s,
+            recorded_pose=local,
             in_lidar=np.array(attrs["camera_in_lidar"][name], np.float64).reshape(4, 4),
         )
     return found

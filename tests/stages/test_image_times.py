@@ -11,12 +11,15 @@ from nvsf_core.drives.plain.layout import PlainLayout
 from nvsf_core.drives.plain.writer import (
     write_cameras,
     write_description,
+    write_frame_times,
     write_image_times,
     write_plain_image,
     write_poses,
 )
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.geometry.se3 import pose_of_angles
 from nvsf_core.models.baselines.reproject import depth_scans
+from nvsf_core.recipe import TrainingSpec, preset
 from nvsf_core.recording.drive import Recording, Sweeps
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E
@@ -24,6 +27,8 @@ from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stages.imports.convert import import_drive
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.views.view import held_out_view, reference_poses, to_world
+from nvsf_core.stores.arrays import read_arrays
+from nvsf_core.stores.tables import read_rows
 
 FRAMES, TEST, PERIOD_S = 10, (7, 9), 0.1
 DELAY_S = 0.025
@@ -100,6 +105,42 @@ def test_held_out_images_are_shown_where_and_when_they_were_taken(recording: Rec
     np.testing.assert_allclose(plan.moments_s, taken_s, atol=1e-9, err_msg="of the camera")
     shown = to_world(recording, reference_poses(recording, plan) @ recording.cameras["front"].in_lidar)
     np.testing.assert_allclose(shown, [place(one) @ MOUNTING for one in taken_s], atol=1e-6)
+
+
+def test_held_out_images_have_the_poses_that_the_drive_gives_them_wherever_these_lie(tmp_path: Path) -> None:
+    layout, last_s = PlainLayout(tmp_path / "drive"), (FRAMES - 1) * PERIOD_S
+    write_description(layout, "VLP-16")
+    write_cameras(layout, {"front": (CAMERA, MOUNTING)})
+    write_frame_times(layout, {frame: frame * PERIOD_S for frame in range(FRAMES)})
+    # Five poses from frame to frame, in which the car sways to and fro; they end 0.2 s after the last frame.
+    pose_s = np.arange(5 * (FRAMES + 1) + 1) * PERIOD_S / 5
+    sways = [pose_of_angles((9.0 * one, np.sin(40.0 * one), 0.0), 3.0, 0.0, 0.0) for one in pose_s]
+    write_poses(layout, None, pose_s.tolist(), sways)
+    image_s = {frame: frame * PERIOD_S + 0.04 for frame in range(FRAMES - 2)}
+    image_s |= {FRAMES - 2: last_s + 0.16, FRAMES - 1: last_s + 0.31}
+    write_image_times(layout, "front", image_s)
+    rng = np.random.default_rng(0)
+    for frame in range(FRAMES):
+        write_plain_image(layout, "front", frame, rng.integers(0, 255, (24, 32, 3), np.uint8))
+    scene = SceneEntry(
+        name="late", root=layout.root, sequence="there", kind="plain", first_frame=0, last_frame=FRAMES - 1,
+        test_frames=(3, FRAMES - 2, FRAMES - 1),
+    )  # fmt: skip
+    recipe = replace(preset("smoke"), depth_training=TrainingSpec(steps=20, rays=512))
+    run = plan_run(scene, tmp_path / "home", recipe=recipe)
+    for stage in ("frames", "sweeps", "undistorted", "pano", "evidence", "mesh", "field", "novel_views"):
+        outcome = run_named_stage(stage, run, lambda line: None)
+
+    given = read_arrays(tmp_path / "home/late/undistorted/images.zarr")
+    shown = read_arrays(tmp_path / "home/late/novel_views/smoke/0/test/model.zarr")
+    assert shown["front_frame"].tolist() == [3, FRAMES - 2] and outcome.metadata["test_front_images"] == 2
+    row = np.searchsorted(given["front_frame"], shown["front_frame"])
+    np.testing.assert_allclose(shown["front_time_s"], given["front_time_s"][row], atol=1e-9)
+    poses = shown["front_camera_to_world"]
+    np.testing.assert_allclose(poses, given["front_camera_to_world"][row], atol=1e-9)
+    images = read_rows(tmp_path / "home/late/frames/cameras.parquet")
+    (left_out,) = [image for image in images if not image["image_valid"]]
+    assert left_out["frame"] == FRAMES - 1 and "no pose at the time of the image" in left_out["reason"]
 
 
 def test_an_import_keeps_poses_and_images_on_one_clock_where_times_are_refused(

@@ -37,8 +37,10 @@ class AlignedDrive:
         correction = self.corrections.get(camera)
         if correction is None:
             return pose
+        # An image may be taken after the last frame: then its recording camera is at the end of the path.
+        path = self.given.trajectory
+        rotation, position = path.at(np.clip([time_s], path.times_s[0], path.times_s[-1]))
         # A mounting read from a file is a rotation only up to 1e-10, so its inverse is not its transpose.
-        rotation, position = self.given.trajectory.at(np.array([time_s]))
         recorded = pose_from_parts(rotation[0], position[0]) @ self.given.cameras[camera].in_lidar
         corrected: np.ndarray = correction.at(recorded, time_s) @ (np.linalg.inv(recorded) @ pose)
         return corrected

@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,6 +18,7 @@ from nvsf_core.geometry.se3 import rotation_of
 from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.recording.drive import Recording
+from nvsf_core.recording.images import CameraRecording
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.sweep_clock import SweepClock
 from nvsf_core.simulation.scan import measured_range_noise_m
@@ -54,18 +55,16 @@ def held_out_view(recording: Recording, test_frames: Sequence[int]) -> View | No
     Images are asked for where and when they were taken: they may have times of their own.
     """
 
-    def plan_of(recorded: np.ndarray, time_s: np.ndarray | None = None) -> ViewPlan | None:
+    def plan_of(recorded: np.ndarray) -> ViewPlan | None:
         wanted = np.array([one for one in test_frames if one in recorded], np.int64)
         if len(wanted) == 0:
             return None
         frame_s = recording.posed_time_s[np.searchsorted(recording.posed_frame, wanted)]
-        own_s = frame_s if time_s is None else time_s[np.searchsorted(recorded, wanted)]
-        return ViewPlan(HELD_OUT, wanted, own_s, None)
+        return ViewPlan(HELD_OUT, wanted, frame_s, None)
 
     scanned = None if recording.lidar is None else plan_of(recording.lidar.sweeps.arrays["frame"])
     planned = {
-        name: plan_of(camera.recorded_frame, camera.recorded_time_s)
-        for name, camera in recording.cameras.items()
+        name: _as_taken(plan_of(camera.recorded_frame), camera) for name, camera in recording.cameras.items()
     }
     images = {name: plan for name, plan in planned.items() if plan is not None}
     plan = scanned
@@ -77,6 +76,19 @@ def held_out_view(recording: Recording, test_frames: Sequence[int]) -> View | No
     if recording.lidar is not None and scanned is not None:
         sweeps = plan_sweeps(scanned, recording.lidar.sweeps.table, None)
     return View(plan=plan, sweeps=sweeps, images=images)
+
+
+def _as_taken(plan: ViewPlan | None, camera: CameraRecording) -> ViewPlan | None:
+    """The plan of a camera's images, at their own instants and poses if these are not their frames'."""
+    if plan is None:
+        return None
+    row = np.searchsorted(camera.recorded_frame, plan.frame)
+    own_s = camera.recorded_time_s[row]
+    if np.array_equal(own_s, plan.time_s):
+        return plan
+    # A mounting read from a file is a rotation only up to 1e-10, so its inverse is not its transpose.
+    given = camera.recorded_pose[row] @ np.linalg.inv(camera.in_lidar)
+    return replace(plan, time_s=own_s, given_poses=given)
 
 
 def asked_view(recording: Recording, entry: ViewEntry) -> View | None:

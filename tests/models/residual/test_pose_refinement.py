@@ -91,6 +91,15 @@ def test_a_view_that_looks_elsewhere_goes_with_the_camera_that_recorded(drive: R
             np.testing.assert_allclose(np.linalg.inv(there) @ moved, place, rtol=0.0, atol=1e-9)
 
 
+def test_an_image_that_was_taken_long_after_the_last_frame_is_corrected_too(drive: Recording) -> None:
+    twist = np.array([0.02, -0.01, 0.03, 0.004, -0.002, 0.001])
+    aligned = aligned_by(MovingWorld(drive), corrections_from(_constant(drive, twist)))
+    end_s = float(drive.trajectory.times_s[-1])
+    recorded = _recorded(drive, end_s)
+    there = aligned.pose_at(CAMERA, recorded, end_s + 0.3)
+    np.testing.assert_allclose(there, recorded @ exp_se3(twist), rtol=0.0, atol=1e-12)
+
+
 def test_a_camera_that_nobody_aligned_and_a_drive_without_lidar_keep_their_poses(drive: Recording) -> None:
     pose = drive.cameras[CAMERA].training.pose[1]
     blind = MovingWorld(replace(drive, lidar=None))
