@@ -1,8 +1,9 @@
 """Metrics of moving objects (foreground) and of the rest (background), by annotated boxes.
 
-The boxes are those of the frame itself, at the time of its pose. Scans are not compensated for motion: each
-return is in the sensor's frame at its own firing. Beside the car, where the firing is up to a quarter of a
-sweep away from that time, parts of an object may therefore be outside its box.
+The boxes are those of the frame itself, at the time of its pose, and for an image at the time when it was
+taken. Scans are not compensated for motion: each return is in the sensor's frame at its own firing. Beside
+the car, where the firing is up to a quarter of a sweep away from that time, parts of an object may therefore
+be outside its box.
 
 `lidar4d` and `image`, as published: each side keeps its own points inside the boxes, and the whole images
 are compared, 0 elsewhere. So a predicted point beside the box does not count, and errors shrink with the

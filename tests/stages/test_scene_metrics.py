@@ -70,7 +70,7 @@ def _write_frames(store: SceneStore, *, moving: bool) -> None:
     pose = np.eye(4)
     pose[:3, 3] = (1000.0, 3700.0, 100.0)
     placed = {"pose_valid": True, "lidar_to_world": pose.ravel().tolist()}
-    posed = [{"frame": frame, **placed} for frame in (9, *FRAMES)]
+    posed = [{"frame": frame, "time_s": 0.1 * (frame - 9), **placed} for frame in (9, *FRAMES)]
     box = np.diag([6.0, 8.0, 6.0, 1.0])
     box[:3, 3] = pose[:3, 3] + (14.0, 0.0, -2.0)
     boxes = [
@@ -93,6 +93,7 @@ def _write_images(store: SceneStore) -> None:
             "image_00_rgb": np.stack([_image(frame) for frame in frames]),
             "image_00_valid": np.ones((40, 48), dtype=bool),
             "image_00_frame": np.array(frames),
+            "image_00_time_s": 0.1 * (np.array(frames) - 9),
             "image_00_camera_to_world": np.stack([pose] * 3),
         },
         {"cameras": {"image_00": {"fx": 30, "fy": 30, "cx": 23.5, "cy": 19.5, "width": 48, "height": 40}}},

@@ -69,7 +69,7 @@ def measure_camera(
     """
     a = read_arrays(path, f"{camera}_rgb", f"{camera}_frame", f"{camera}_render_seconds")
     depth_m = _stored_depth(path, camera)
-    true = read_arrays(images, f"{camera}_rgb", f"{camera}_valid", f"{camera}_frame")
+    true = read_arrays(images, *(f"{camera}_{part}" for part in ("rgb", "valid", "frame", "time_s")))
     index = {frame: row for row, frame in enumerate(true[f"{camera}_frame"].tolist())}
     recorded = _Recorded(images, camera, true[f"{camera}_rgb"], true[f"{camera}_valid"], index)
     frames = a[f"{camera}_frame"].tolist()
@@ -85,7 +85,8 @@ def measure_camera(
             ("lidar4d", "all"): {DEPTH_METRIC: depth[1]},
         }
         if boxes is not None:
-            here = boxes.in_camera(frame, recorded.poses()[index[frame]])
+            taken_s = float(true[f"{camera}_time_s"][index[frame]])
+            here = boxes.in_camera(frame, taken_s, recorded.poses()[index[frame]])
             mask = box_rectangles(recorded.camera(), here)
             published = image_regions(rgb, truth, recorded.valid, mask, lpips)
             masked = masked_image_regions(rgb, truth, recorded.valid, mask)

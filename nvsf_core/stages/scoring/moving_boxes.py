@@ -1,4 +1,4 @@
-"""Annotated boxes of moving objects, for metrics by region: per recorded frame, in a sensor's frame."""
+"""Annotated boxes of moving objects, for metrics by region: in a sensor's frame, of a frame or an image."""
 
 from dataclasses import dataclass
 
@@ -15,8 +15,10 @@ NO_BOXES = "not measured: this drive has no box of a moving object"
 class MovingBoxes:
     """Annotated boxes of a drive's moving objects; used for metrics only, never for training."""
 
-    to_world: dict[int, np.ndarray]
-    """Frame to (B, 4, 4) float64 transforms from the unit cube to the world, metres."""
+    to_world: dict[int, dict[int, np.ndarray]]
+    """Frame to object to the (4, 4) float64 transform from the unit cube to the world, metres."""
+    time_s: dict[int, float]
+    """Frame to its instant, seconds since the first frame."""
     lidar_to_world: dict[int, np.ndarray]
     """Frame to the (4, 4) pose of the LiDAR."""
     objects: int
@@ -24,14 +26,31 @@ class MovingBoxes:
 
     def in_lidar(self, frame: int) -> np.ndarray:
         """(B, 4, 4) unit cube to the LiDAR's frame of a recorded frame; B = 0 if nothing moves."""
-        return invert_pose(self.lidar_to_world[frame]) @ self._of(frame)
+        there = list(self.to_world.get(frame, {}).values())
+        return invert_pose(self.lidar_to_world[frame]) @ np.array(there).reshape(-1, 4, 4)
 
-    def in_camera(self, frame: int, camera_to_world: np.ndarray) -> np.ndarray:
-        """(B, 4, 4) unit cube to the frame of a camera at the (4, 4) pose `camera_to_world`."""
-        return invert_pose(camera_to_world) @ self._of(frame)
+    def in_camera(self, frame: int, time_s: float, camera_to_world: np.ndarray) -> np.ndarray:
+        """(B, 4, 4) unit cube to a camera's frame, of the objects that have a box in a recorded frame.
 
-    def _of(self, frame: int) -> np.ndarray:
-        return self.to_world.get(frame, np.zeros((0, 4, 4)))
+        Args:
+            frame: The frame of the image.
+            time_s: When the image was taken, which need not be the frame's instant.
+            camera_to_world: (4, 4) pose of the camera.
+        """
+        there = [self._at(one, time_s) for one in self.to_world.get(frame, {})]
+        return invert_pose(camera_to_world) @ np.array(there).reshape(-1, 4, 4)
+
+    def _at(self, number: int, time_s: float) -> np.ndarray:
+        """(4, 4) box of an object between its annotated ones; before and after them its motion goes on."""
+        frames = sorted(frame for frame, boxes in self.to_world.items() if number in boxes)
+        boxes = [self.to_world[frame][number] for frame in frames]
+        if len(boxes) == 1:
+            return boxes[0]
+        known_s = np.array([self.time_s[frame] for frame in frames])
+        before = int(np.clip(np.searchsorted(known_s, time_s) - 1, 0, len(boxes) - 2))
+        share = (time_s - known_s[before]) / (known_s[before + 1] - known_s[before])
+        # Over a tenth of a second the mean of two poses is a rotation to 1e-4.
+        return np.asarray((1.0 - share) * boxes[before] + share * boxes[before + 1])
 
 
 def read_moving_boxes(store: SceneStore) -> MovingBoxes | None:
@@ -40,12 +59,15 @@ def read_moving_boxes(store: SceneStore) -> MovingBoxes | None:
     rows = [row for row in read_rows(frames / "boxes.parquet") if row["dynamic"]]
     if not rows:
         return None
-    by_frame: dict[int, list[np.ndarray]] = {}
+    to_world: dict[int, dict[int, np.ndarray]] = {}
     for row in rows:
-        by_frame.setdefault(row["frame"], []).append(np.array(row["box_to_world"]).reshape(4, 4))
-    posed = [row for row in read_rows(frames / "frames.parquet") if row["pose_valid"]]
+        box = np.array(row["box_to_world"]).reshape(4, 4)
+        to_world.setdefault(row["frame"], {})[row["object_id"]] = box
+    recorded = read_rows(frames / "frames.parquet")
+    posed = [row for row in recorded if row["pose_valid"]]
     return MovingBoxes(
-        to_world={frame: np.stack(boxes) for frame, boxes in by_frame.items()},
+        to_world=to_world,
+        time_s={row["frame"]: row["time_s"] for row in recorded},
         lidar_to_world={row["frame"]: np.array(row["lidar_to_world"]).reshape(4, 4) for row in posed},
         objects=len({row["object_id"] for row in rows}),
     )
