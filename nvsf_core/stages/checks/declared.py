@@ -130,8 +130,9 @@ GHOSTS = NamedCheck(
 )
 GUESSED = NamedCheck(
     name="little_of_a_view_is_guessed",
-    description="Share of a view's returns, or of a camera's pixels, that are guessed, where nothing was "
-    "recorded: the worst. Limit: a tenth; a model trained on such data learns from the guesses, too.",
+    description="Share of a view's returns, or of a camera's pixels that its lens sees, that are guessed, "
+    "where nothing was recorded: the worst. Limit: a tenth; a model trained on such data learns from the "
+    "guesses, too.",
 )
 VIEW_CHECKS = (
     FINITE, WITHIN, RETURNS, VIEW_HIT_RATE, VIEW_INTENSITY, BLANK, GREYS, GHOSTS, GUESSED,
