@@ -30,7 +30,10 @@ def hit_prior_elsewhere(
     evidence = lidar.evidence
     ones = np.ones(len(rays.laser), np.float32)
     met = render_in_chunks(reprojecting_renderer(lidar), rays.origin_m, rays.direction, ones, time_s)
-    points_m = (rays.origin_m + rays.direction * met.range_m[:, None]).astype(np.float32)
+    # A ray that meets nothing ends at no point; along an axis infinity times 0 would be no number.
+    ends = ~np.isposinf(met.range_m)
+    points_m = np.full(rays.direction.shape, np.inf, np.float32)
+    points_m[ends] = rays.origin_m[ends] + rays.direction[ends] * met.range_m[ends, None]
     hit_prior = lidar.scan_grids.hit_prior_at(points_m, near)
     if is_own_unit and evidence.unit_gaps is not None:
         cell = cells_of(rays.fraction, evidence.unit_gaps.shape[1])
