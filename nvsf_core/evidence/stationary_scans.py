@@ -6,7 +6,8 @@ disagree, and those nearest in time decide. Or they are copied from the scan nea
 left-out scans show that this is better.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from nvsf_core.evidence.drop_prior import DropPrior, FiredCells
 from nvsf_core.geometry.se3 import log_so3
 from nvsf_core.kernels.stationary_lookup import NearScans, combine_stationary
 from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.sweep_clock import SweepClock
 
 MOST_APART_M = 0.3
 """Scans farther than this from every other pose are not kept: no ray's footprint is wider."""
@@ -25,7 +27,7 @@ _BESIDE_FRAMES = 1.5
 """Scans nearer to a sweep than this are beside it."""
 _SAME_INSTANT_S = 1e-6
 _MOMENTS = 17
-"""Instants of a sweep at which the sensor's poses are compared."""
+"""Azimuths of a sweep at whose instants the sensor's poses are compared."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,13 +62,15 @@ class FiredRays:
     laser: np.ndarray
     """(r,) int, 0 on top."""
     fraction: np.ndarray
-    """(r,) sweeps after the pose's instant."""
+    """(r,) `sweep_fraction` of the firings' azimuths, -0.5..0.5."""
     range_m: np.ndarray
     """(r,) float32 metres, infinite where the ray meets no surface."""
     hit: np.ndarray
     """(r,) float32 probability of a return."""
     intensity: np.ndarray
     """(r,) float32."""
+    clock: SweepClock = field(default_factory=SweepClock)
+    """When in the sweep each azimuth is measured."""
 
 
 def find_stationary_scans(time_s: np.ndarray, trajectory: Trajectory) -> np.ndarray:
@@ -106,6 +110,7 @@ def keep_scans(
     return StationaryScans(scan.astype(np.int32), ranges, shine, np.array(False))
 
 
+# Wide: the scans with their clocks, the sweep's rays, its instant and the path are independent of each other.
 def look_up_stationary(
     stationary: StationaryScans,
     prior: DropPrior,
@@ -115,6 +120,7 @@ def look_up_stationary(
     period_s: float,
     *,
     leave_out: int | None = None,
+    clocks: Sequence[SweepClock] = (),
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Range (infinite = no return), hit probability and intensity (r,) float32 of a sweep's rays.
 
@@ -128,15 +134,19 @@ def look_up_stationary(
         trajectory: All recorded poses.
         period_s: Seconds of one sweep.
         leave_out: Number of a training scan that is not used.
+        clocks: When in each training scan an azimuth was measured; empty = as by `SweepClock()`.
     """
     apart_s = np.abs(prior.time_s[stationary.scan] - instant_s)
     order = np.argsort(apart_s, kind="stable")
     order = order[stationary.scan[order] != leave_out] if leave_out is not None else order
     frame_s = float(np.median(np.diff(trajectory.times_s))) if len(trajectory.times_s) > 1 else period_s
-    there = [
-        (int(row), *_apart(prior.time_s[stationary.scan[row]], instant_s, trajectory, period_s))
-        for row in order[:NEAREST_SCANS]
-    ]
+    fraction = np.linspace(-0.5, 0.5, _MOMENTS)
+    own_s = instant_s + rays.clock.elapsed(fraction) * period_s
+    there = list[tuple[int, np.ndarray, np.ndarray]]()
+    for row in order[:NEAREST_SCANS].tolist():
+        scan = int(stationary.scan[row])
+        elapsed = (clocks[scan] if clocks else SweepClock()).elapsed(fraction)
+        there.append((row, *_apart(prior.time_s[scan] + elapsed * period_s, own_s, trajectory)))
     there = [one for one in there if np.abs(one[1]).min() < MOST_APART_M]
     rendered = rays.range_m.copy(), rays.hit.copy(), rays.intensity.copy()
     if there:
@@ -146,16 +156,19 @@ def look_up_stationary(
     return rendered
 
 
-def _apart(
-    scan_s: float, instant_s: float, trajectory: Trajectory, period_s: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Metres (17,), negative for earlier scans, and radians (17,) between a scan's poses and a sweep's."""
-    lag_s = np.linspace(-0.5, 0.5, _MOMENTS) * period_s
-    turned, moved = trajectory.at(scan_s + lag_s)
-    turn, place = trajectory.at(instant_s + lag_s)
+def _apart(scan_s: np.ndarray, sweep_s: np.ndarray, trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Metres (17,), negative for earlier scans, and radians (17,) between a scan's poses and a sweep's.
+
+    Args:
+        scan_s: (17,) instants at which the scan measured even azimuths.
+        sweep_s: (17,) those of the sweep.
+        trajectory: All recorded poses.
+    """
+    turned, moved = trajectory.at(scan_s)
+    turn, place = trajectory.at(sweep_s)
     apart_m = np.linalg.norm(moved - place, axis=1)
     angle_rad = np.linalg.norm(log_so3(np.swapaxes(turn, 1, 2) @ turned), axis=1)
-    return np.copysign(apart_m, scan_s - instant_s), angle_rad
+    return np.copysign(apart_m, scan_s - sweep_s), angle_rad
 
 
 def _near_scans(

@@ -52,11 +52,12 @@ def measured_when_stationary(
     evidence, sweeps = lidar.evidence, lidar.sweeps
     if evidence.stationary is None:
         return rendered
-    rays = FiredRays(laser, fraction, rendered.range_m, rendered.hit, rendered.intensity)
+    clock = sweeps.clock_near(instant_s)
+    rays = FiredRays(laser, fraction, rendered.range_m, rendered.hit, rendered.intensity, clock)
     return RenderedRays(
         *look_up_stationary(
             evidence.stationary, evidence.prior, rays, instant_s, sweeps.trajectory, sweeps.period_s,
-            leave_out=leave_out,
+            leave_out=leave_out, clocks=sweeps.training_clocks,
         )
     )  # fmt: skip
 

@@ -13,6 +13,7 @@ from nvsf_core.evidence.stationary_scans import (
 )
 from nvsf_core.geometry.se3 import pose_from_parts
 from nvsf_core.sensors.sweep import Trajectory
+from nvsf_core.sensors.sweep_clock import SweepClock
 
 FRAME_S, FRAMES, HELD_OUT, FIRINGS = 0.1, 9, 4, 100
 TRAINING = np.array([frame for frame in range(FRAMES) if frame != HELD_OUT])
@@ -127,6 +128,25 @@ def test_copied_scans_answer_what_the_nearest_one_measured_or_that_it_had_no_ret
         if nearest_m > 0.0:
             assert (found_m == nearest_m).all()
             assert (intensity == 0.5).all()
+
+
+def test_places_are_compared_when_each_of_two_sensors_looked_there() -> None:
+    # It stood until the middle of the held-out sweep, and is off, by more than a ray's footprint, in no time.
+    poses = driving(300.0).lidar_to_world - driving(300.0).lidar_to_world[HELD_OUT] + np.eye(4)
+    poses[:HELD_OUT] = np.eye(4)
+    path = Trajectory(np.arange(FRAMES) * FRAME_S, poses, np.eye(4))
+    stationary, prior = measured(np.where(TRAINING < HELD_OUT, 20.0, 0.0))
+    # Cut in front: what lies behind and to the right is measured in the first half of a sweep.
+    clocks = {"behind": SweepClock(), "in front": SweepClock(cut=0.0, lag=-0.5)}
+    for name, clock in clocks.items():
+        rays = replace(surfaces(24.0), clock=clock)
+        found_m, _, _ = look_up_stationary(
+            stationary, prior, rays, HELD_OUT * FRAME_S, path, FRAME_S, clocks=[clock] * len(TRAINING)
+        )
+        elapsed = clock.elapsed(FRACTION.astype(np.float64))
+        clear = np.abs(np.abs(elapsed) - 0.25) < 0.15
+        expected_m = np.where(elapsed < 0.0, 20.0, 24.0)
+        np.testing.assert_allclose(found_m[clear], expected_m[clear], atol=0.02, err_msg=name)
 
 
 def test_it_comes_back_from_the_store_as_it_went_in() -> None:
