@@ -75,8 +75,8 @@ def as_markdown() -> str:
     formats = [(f"`{name}`", _FORMATS[name]) for name in EXPORTS]
     parts.append(
         "## Formats of `exports`\n\nImages always come as PNG, beside them depth (uint16, 1/256 m along the "
-        "optical axis, of a fisheye along the ray, 0 = not known; the sky has the depth of what is beside "
-        "it, not 0) and, where objects are labelled or found "
+        "optical axis, of a fisheye along the ray, 0 = not known: of the sky, and of bright blank walls "
+        "above all returns, which images do not tell from it) and, where objects are labelled or found "
         "to move, instances (uint16; the manifest's `instances` says which object each value is). Where a "
         "format's points have no ring, time and support of their own, these lie beside them: "
         "`velodyne_points/ring` (uint16, 0 = top laser in every format; Velodyne's driver counts from the "

@@ -1,10 +1,12 @@
-"""Depth of a camera's upward-looking pixels from two images, where they prove that it is not the sky.
+"""Depth of a camera's upward-looking pixels from images, where they prove that it is not the sky.
 
-A plane sweep gives every pixel some depth; a pixel of the sky gets that of whatever is next to it. So a depth
-counts as proven only where the two images differ more at the sky's distance than at that depth.
+A plane sweep gives every pixel some depth, and so does a network that compares images; a pixel of the sky
+gets that of whatever is next to it. So a depth counts as proven only where the images differ more at the
+sky's distance than at that depth.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -13,6 +15,8 @@ from torch.nn import functional
 
 from nvsf_core.evidence.image_surfels import DepthRays
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.rendering.pixel_support import holes
+from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.reproject_camera import (
     FAR_M,
     WINDOW_PX,
@@ -21,10 +25,13 @@ from nvsf_core.rendering.reproject_camera import (
     nearest_sources,
     sweep_shrinking,
 )
+from nvsf_core.rendering.sources import SHOWN, STATIC, Sources
 from nvsf_core.rendering.warping import plane_rays, relative_motion, sample, shrunk, source_pixels, to_float
 
 _NOISE = 0.01
 """By this much, in colours 0..1, the images must differ more at the sky's distance."""
+_MEASURED_PX = 4.0
+"""Within this distance of a return in the image there is a surface, whatever images say."""
 
 
 # Wide: the view (pose, pinhole), the points, the source images and the limit are independent inputs.
@@ -96,3 +103,59 @@ def _disagreement(sources: Tensor, motions: Sequence[Tensor], inverse: Tensor, p
     apart = (colours[0] - colours[1]).abs().mean(dim=0)
     around = box_mean(seen * apart, WINDOW_PX) / box_mean(seen.float(), WINDOW_PX)
     return torch.where(seen, around, torch.nan)
+
+
+def without_sky(
+    image: RenderedImage, pose: np.ndarray, pinhole: Pinhole, sources: Sources, gap_px: Tensor, *,
+    label: Tensor | None = None,
+) -> RenderedImage:  # fmt: skip
+    """The image with infinite ranges where it shows the sky, for all that its sources tell.
+
+    They agree there at the sky's distance as well as at the rendered one. So they do at a blank wall: apart
+    from returns it loses its range, too, unless it is darker than most of the image. A sky that is as dark,
+    and one of which less than a square of five pixels is seen, keep the depth of what is beside them.
+
+    Args:
+        image: As rendered.
+        pose: (4, 4) camera to scene-local frame.
+        pinhole: Its intrinsics, and those of the sources.
+        sources: The images that it was rendered from, k of them.
+        gap_px: (H, W) distance to the nearest return in the image, infinite without any.
+        label: (H, W) uint8, 0 = static; None = nothing moves.
+    """
+    rays = plane_rays(pinhole)
+    grey = image.rgb.mean(axis=2)
+    looks_up = rays.numpy() @ pose[2, :3].astype(np.float32) > 0.0
+    may_be = torch.from_numpy(looks_up & (grey > np.median(grey))) & (gap_px > _MEASURED_PX)
+    if label is not None:
+        may_be = may_be & (label == STATIC)
+    if not may_be.any():
+        return image
+    rows = int(torch.nonzero(may_be.any(dim=1))[-1]) + 1
+    rays = rays[:rows]
+    inverse = torch.linalg.vector_norm(rays, dim=-1) / torch.from_numpy(image.range_m[:rows])
+    near, sky = (
+        _spread(sources, rays, one, pinhole) for one in (inverse, torch.full_like(inverse, 1.0 / FAR_M))
+    )
+    may_be[:rows] &= sky <= near + _NOISE
+    return replace(image, range_m=np.where(holes(may_be).numpy(), np.float32(np.inf), image.range_m))
+
+
+def _spread(sources: Sources, rays: Tensor, inverse: Tensor, pinhole: Pinhole) -> Tensor:
+    """Mean difference (h, w), 0..1, of the sources' colours to their mean at the inverse depths (h, w), 1/m.
+
+    Whatever hides the points in a source counts, too: which depths are right is asked. NaN unless two sources
+    show the pixel.
+    """
+    colours, seen = list[Tensor](), list[Tensor]()
+    for index, motion, nearness in zip(sources.chosen, sources.motion, sources.nearness, strict=True):
+        if nearness > 0.0:
+            grid, inside, _ = source_pixels(motion, rays, inverse, pinhole)
+            found = sample(sources.images[index, : SHOWN + 1], grid)
+            colours.append(found[:SHOWN])
+            seen.append((inside & (found[SHOWN] > 0.999)).float())
+    shown = torch.stack(seen)
+    count = shown.sum(dim=0)
+    mean = (torch.stack(colours) * shown[:, None]).sum(dim=0) / count.clamp_min(1.0)
+    apart = (torch.stack(colours) - mean).abs().mean(dim=1)
+    return torch.where(count > 1.5, (apart * shown).sum(dim=0) / count.clamp_min(1.0), torch.nan)

@@ -52,6 +52,7 @@ class RenderedImage:
     rgb: np.ndarray
     """(H, W, 3) uint8, red first."""
     range_m: np.ndarray
-    """(H, W) float32, metres along each pixel's ray; infinite where it meets no surface."""
+    """(H, W) float32, metres along each pixel's ray; infinite where it meets no surface, as in the sky."""
     support: np.ndarray | None = None
-    """(H, W) uint8 class of `Support`; None = this renderer does not know it."""
+    """(H, W) uint8 class of `Support`, of the colour: the sky is seen, too, and has no range. None = this
+    renderer does not know it."""

@@ -55,6 +55,10 @@ def _columns(*rows: tuple[str, str, str, str]) -> tuple[Entry, ...]:
 _SAME: dict[str, tuple[str, ...]] = {"i8": ("f8",), "f8": ("i8",)}
 """Other types allowed for a column of numbers: its stored type depends on whether all values are whole."""
 _SUPPORT = "what recorded data know of it: 0 = guessed, 1 = extrapolated, 2 = seen"
+_OF_COLOUR = (
+    "what recorded images know of its colour: 0 = guessed, 1 = extrapolated, 2 = seen, as the sky may be, "
+    "which has no range"
+)
 _POSE = "4x4, row by row; an empty list where there is none"
 
 _CLOCK = "spin, cut, lag: see `SweepClock`; absent = clockwise, cut behind"
@@ -225,9 +229,9 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry(f"{CAMERA}_rgb", "u1", ("images", "height", "width", 3), "1", "0 to 255", optional=True),
             Entry(
                 f"{CAMERA}_range_m", "f2", ("images", "height", "width"), "m",
-                "length of each pixel's ray; inf or 0 = no answer", optional=True,
+                "length of each pixel's ray; inf or 0 = none is known, as of the sky", optional=True,
             ),
-            Entry(f"{CAMERA}_support", "u1", ("images", "height", "width"), "1", _SUPPORT, optional=True),
+            Entry(f"{CAMERA}_support", "u1", ("images", "height", "width"), "1", _OF_COLOUR, optional=True),
             Entry(f"{CAMERA}_instance", "u2", ("images", "height", "width"), "1", "0 = none", optional=True),
             Entry(f"{CAMERA}_frame", "i8", ("images",), "1", "nearest recorded frame", optional=True),
             Entry(f"{CAMERA}_time_s", "f8", ("images",), "s", "instant of the scene", optional=True),

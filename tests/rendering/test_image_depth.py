@@ -2,10 +2,14 @@
 
 import numpy as np
 import pytest
+import torch
 
 from nvsf_core.evidence.image_surfels import DepthRays
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.rendering.image_depth import image_depth
+from nvsf_core.rendering.image_depth import image_depth, without_sky
+from nvsf_core.rendering.rendered import RenderedImage
+from nvsf_core.rendering.sources import Sources
+from nvsf_core.rendering.warping import relative_motion, to_float
 
 CAMERA = Pinhole(fx=90.0, fy=90.0, cx=95.5, cy=47.5, width=192, height=96)
 WALL_M, TOP_M = 8.0, -1.5
@@ -67,3 +71,42 @@ def test_rays_that_rise_are_told_as_if_all_were_asked() -> None:
     nodding = np.array([0.0, -np.cos(0.2), np.sin(0.2)])
     assert len(depths(-0.4, 0.4, up=nodding, elevation_rad=0.1).range_m) > asked.sum()
     assert len(depths(-0.4, 0.4, elevation_rad=1.5).range_m) == 0
+
+
+NEAR_M = 6.0
+"""Depth of the sky as a comparison of images has it: of something beside it."""
+LEVEL = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""A camera in a scene whose z is up."""
+
+
+def shown_without_sky(rgb: np.ndarray, gap_px: float, label: np.ndarray | None = None) -> np.ndarray:
+    """Ranges (H, W) of the wall's view, the whole of which is rendered at 8 and the sky at 6 m."""
+    rays = CAMERA.rays(CAMERA.pixels())
+    is_sky = rays[..., 1] / rays[..., 2] * WALL_M < TOP_M
+    range_m = np.where(is_sky, NEAR_M, WALL_M) / rays[..., 2]
+    images = to_float(np.stack([photograph(x) for x in (-0.4, 0.4)]))
+    motion = torch.stack([relative_motion(pose(0.0), pose(x)) for x in (-0.4, 0.4)])
+    sources = Sources(
+        torch.cat([images, torch.ones_like(images[:, :1])], dim=1), [0, 1], motion, torch.ones(2)
+    )
+    found = without_sky(
+        RenderedImage(rgb, range_m.astype(np.float32)), LEVEL, CAMERA, sources,
+        torch.full(is_sky.shape, gap_px), label=None if label is None else torch.from_numpy(label),
+    )  # fmt: skip
+    assert found.rgb is rgb, "colours stay"
+    kept = np.isfinite(found.range_m)
+    assert np.array_equal(found.range_m[kept], range_m.astype(np.float32)[kept])
+    return np.stack([kept, is_sky])
+
+
+def test_the_sky_of_a_rendered_image_has_no_range_and_what_stands_before_it_keeps_its_own() -> None:
+    kept, is_sky = shown_without_sky(photograph(0.0), np.inf)
+    assert kept[is_sky].mean() < 0.1 and kept[~is_sky].mean() > 0.99
+
+
+def test_a_surface_beside_returns_a_dark_one_and_a_moving_one_are_no_sky() -> None:
+    rgb = photograph(0.0)
+    assert shown_without_sky(rgb, 1.0)[0].all(), "a return says that there is a surface"
+    assert shown_without_sky(rgb, np.inf, np.ones(rgb.shape[:2], np.uint8))[0].all()
+    kept, is_sky = shown_without_sky(np.where((rgb == [180, 200, 230]).all(-1)[..., None], 0, rgb), np.inf)
+    assert kept[is_sky].all(), "dark"

@@ -1,12 +1,18 @@
 """The baseline `reproject`: the evidence ray-cast, and recorded images warped; nothing is learned."""
 
 import numpy as np
+import torch
 
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.kernels.images.filling import nearest_known
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import Recording, Sweeps
+from nvsf_core.recording.images import CameraImages
+from nvsf_core.rendering.image_depth import without_sky
 from nvsf_core.rendering.rendered import RenderedImage
-from nvsf_core.rendering.reproject_camera import render_by_warping
+from nvsf_core.rendering.reproject_camera import nearest_sources, render_by_warping, splat_points
+from nvsf_core.rendering.sources import Sources
+from nvsf_core.rendering.warping import relative_motion, to_float
 from nvsf_core.simulation.ray_renderers import reprojecting_renderer, unobserved_renderer
 from nvsf_core.simulation.scene_model import ImageRenderer, SceneModel
 
@@ -30,9 +36,22 @@ def warping_renderer(recording: Recording) -> ImageRenderer:
     ) -> RenderedImage:
         images = recording.cameras[camera].training
         points = depth_points(recording, time_s if near_s is None else near_s)
-        return render_by_warping(pose, pinhole, points, images.rgb, images.pose, source_valid=images.valid)
+        found = render_by_warping(pose, pinhole, points, images.rgb, images.pose, source_valid=images.valid)
+        is_return = np.isfinite(splat_points(pose, pinhole, points))
+        gap_px = nearest_known(is_return)[0] if is_return.any() else np.full(is_return.shape, np.inf)
+        return without_sky(found, pose, pinhole, _sources(images, pose), torch.from_numpy(gap_px))
 
     return warp
+
+
+def _sources(images: CameraImages, pose: np.ndarray) -> Sources:
+    """The images that a view at `pose` (4, 4) is warped from."""
+    chosen = nearest_sources(pose, images.pose)
+    colours = to_float(images.rgb[chosen])
+    shown = torch.from_numpy(images.valid).float().expand(len(chosen), 1, -1, -1)
+    motion = torch.stack([relative_motion(pose, images.pose[index]) for index in chosen])
+    numbers = list(range(len(chosen)))
+    return Sources(torch.cat([colours, shown], dim=1), numbers, motion, torch.ones(len(chosen)))
 
 
 def depth_points(recording: Recording, instant_s: float, *, leave_out: int | None = None) -> np.ndarray:

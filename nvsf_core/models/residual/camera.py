@@ -40,6 +40,7 @@ from nvsf_core.models.residual.tones import ToneCurve, tones_of, with_tones
 from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.camera_view import ShownImages, camera_view, shown_images, shrinking
+from nvsf_core.rendering.image_depth import without_sky
 from nvsf_core.rendering.lidar_view import lidar_view
 from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.reproject_camera import render_by_warping
@@ -256,7 +257,8 @@ def camera_renderer(recording: Recording, spec: CameraSpec, weights: Weights) ->
         view = replace(view, off_path_m=one.off_path_m(world.recording, at[:3, 3]))
         if camera in exposures:
             view = replace(view, log_gain=exposures[camera].at(place_s))
-        found = render_view(view)
+        sources = view.near.of(view.images.full)
+        found = without_sky(render_view(view), at, pinhole, sources, view.gap_px, label=view.label)
         return replace(found, rgb=tones[camera].inverse().of(found.rgb)) if camera in tones else found
 
     return render
