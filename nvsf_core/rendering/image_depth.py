@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from scipy import ndimage
 from torch import Tensor
 from torch.nn import functional
 
@@ -30,6 +31,8 @@ from nvsf_core.rendering.warping import plane_rays, relative_motion, sample, shr
 
 _NOISE = 0.01
 """By this much, in colours 0..1, the images must differ more at the sky's distance."""
+_LEAST_SHARE = 0.002
+"""Share of the image that a piece of the sky has at least: leaves agree at any distance here and there."""
 _MEASURED_PX = 4.0
 """Within this distance of a return in the image there is a surface, whatever images say."""
 
@@ -113,7 +116,7 @@ def without_sky(
 
     They agree there at the sky's distance as well as at the rendered one. So they do at a blank wall: apart
     from returns it loses its range, too, unless it is darker than most of the image. A sky that is as dark,
-    and one of which less than a square of five pixels is seen, keep the depth of what is beside them.
+    and the little of it that leaves let through, keep the depth of what is beside them.
 
     Args:
         image: As rendered.
@@ -138,7 +141,10 @@ def without_sky(
         _spread(sources, rays, one, pinhole) for one in (inverse, torch.full_like(inverse, 1.0 / FAR_M))
     )
     may_be[:rows] &= sky <= near + _NOISE
-    return replace(image, range_m=np.where(holes(may_be).numpy(), np.float32(np.inf), image.range_m))
+    regions, _ = ndimage.label(holes(may_be).numpy())
+    is_sky = np.bincount(regions.ravel()) >= _LEAST_SHARE * regions.size
+    is_sky[0] = False
+    return replace(image, range_m=np.where(is_sky[regions], np.float32(np.inf), image.range_m))
 
 
 def _spread(sources: Sources, rays: Tensor, inverse: Tensor, pinhole: Pinhole) -> Tensor:
