@@ -21,6 +21,7 @@ from nvsf_core.drives.bags.messages import (
     ODOMETRY,
     POINT_CLOUD,
     TRANSFORMS,
+    encoding_fault,
     stamp_s,
     tells_lasers,
 )
@@ -53,6 +54,8 @@ class BagIndex:
     """Topic of point clouds to whether the points of its first message have a laser or a time."""
     frame_ids: dict[str, str] = field(default_factory=dict)
     """Topic to the frame of its first message."""
+    encoding_faults: dict[str, str | None] = field(default_factory=dict)
+    """Topic of images to why its first one is of an encoding that is not read; None if it is read."""
     infos: dict[str, Any] = field(default_factory=dict)
     """Topic of camera infos to the first one."""
     tree: TransformTree = field(default_factory=lambda: TransformTree(Path()))
@@ -201,6 +204,8 @@ def _take(index: BagIndex, reader: Any, connection: Any, kept_ns: int, raw: byte
             index.frame_ids.setdefault(topic, frame)
             if kind == POINT_CLOUD and topic not in index.tells_lasers:
                 index.tells_lasers[topic] = tells_lasers(reader.deserialize(raw, kind))
+            elif kind in IMAGES and topic not in index.encoding_faults:
+                index.encoding_faults[topic] = encoding_fault(reader.deserialize(raw, kind))
             return
         if kind == CAMERA_INFO and topic in index.infos:
             return

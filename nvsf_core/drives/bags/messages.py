@@ -120,9 +120,10 @@ def image_rgb(message: Any, where: str, decode: Any) -> np.ndarray:
     """
     if not hasattr(message, "encoding"):
         return np.asarray(decode(np.asarray(message.data, np.uint8).tobytes()))
+    fault = encoding_fault(message)
+    if fault is not None:
+        raise DataError(f"{where}: {fault}")
     encoding = message.encoding
-    if encoding not in _COLOURS:
-        raise DataError(f"{where}: encoding: expected one of {', '.join(_COLOURS)}, found {encoding!r:.40}")
     channels = _CHANNELS.get(encoding, 1)
     data = np.asarray(message.data, np.uint8)
     is_empty = 0 in (message.height, message.width)
@@ -137,6 +138,14 @@ def image_rgb(message: Any, where: str, decode: Any) -> np.ndarray:
     return np.ascontiguousarray(pixels if code is None else cv2.cvtColor(np.ascontiguousarray(pixels), code))
 
 
+def encoding_fault(message: Any) -> str | None:
+    """Why an Image is of an encoding that is not read, as a depth camera's; None if it is read."""
+    encoding = getattr(message, "encoding", None)
+    if encoding is None or encoding in _COLOURS:
+        return None
+    return f"encoding: expected one of {', '.join(_COLOURS)}, found {encoding!r:.40}"
+
+
 def lens_facts(message: Any, where: str, *, is_rectified: bool) -> dict[str, Any]:
     """A CameraInfo as `lens_of` reads it.
 
@@ -149,10 +158,10 @@ def lens_facts(message: Any, where: str, *, is_rectified: bool) -> dict[str, Any
     Raises:
         CalibrationError: It is uncalibrated, or of a model that is not read.
     """
-    k, d, p = (_numbers(message, name) for name in "kdp")
+    k, d, p = (info_numbers(message, name) for name in "kdp")
     model = str(message.distortion_model)
     size = {"width": int(message.width), "height": int(message.height)}
-    if (is_rectified or not k.any()) and len(p) == 12 and p[0] > 0.0:
+    if is_of_p(message, is_rectified=is_rectified) and len(p) == 12 and p[0] > 0.0:
         return {"model": "pinhole", **size, "fx": p[0], "fy": p[5], "cx": p[2], "cy": p[6]}
     if len(k) != 9 or k[0] == 0.0:
         raise CalibrationError(f"{where}: expected a calibrated camera, found K = {k.tolist()}")
@@ -174,15 +183,20 @@ def lens_facts(message: Any, where: str, *, is_rectified: bool) -> dict[str, Any
     }  # fmt: skip
 
 
+def is_of_p(message: Any, *, is_rectified: bool) -> bool:
+    """Whether images are of the camera that `R` and `P` describe: rectified ones, and all where `K` is 0."""
+    return is_rectified or not info_numbers(message, "k").any()
+
+
 def has_two_cameras(message: Any) -> bool:
     """Whether `K` and `P` of a CameraInfo are far apart: it matters of which of them the images are."""
-    k, p = _numbers(message, "k"), _numbers(message, "p")
+    k, p = info_numbers(message, "k"), info_numbers(message, "p")
     if len(k) != 9 or len(p) != 12 or k[0] <= 0.0 or p[0] <= 0.0:
         return False
     apart_px = np.abs(p[[0, 5, 2, 6]] - k[[0, 4, 2, 5]])
     return bool(apart_px.max() > _FAR_APART * k[0])
 
 
-def _numbers(message: Any, name: str) -> np.ndarray:
+def info_numbers(message: Any, name: str) -> np.ndarray:
     """A matrix or list of a CameraInfo, row by row; ROS 1 has its names in capitals."""
     return np.asarray(getattr(message, name, getattr(message, name.upper(), ())), np.float64).reshape(-1)

@@ -26,8 +26,10 @@ from nvsf_core.drives.bags.messages import (
     cloud_columns,
     has_two_cameras,
     image_rgb,
+    is_of_p,
     lens_facts,
 )
+from nvsf_core.drives.bags.rectified_places import place_words, rectified_place
 from nvsf_core.drives.drive import Recorded
 from nvsf_core.drives.kitti360.calibration import Calibration, CameraCalibration
 from nvsf_core.drives.kitti360.frames import NOMINAL_PERIOD_S
@@ -39,7 +41,7 @@ from nvsf_core.drives.posed import AbstractPosedDrive, PosePath
 from nvsf_core.drives.section import Section
 from nvsf_core.errors import CalibrationError, DataError
 
-_NOT_A_NAME = re.compile(r"image(?:_(?:raw|rect|rect_color|color|mono))?|compressed|sensors?|driver")
+_NOT_A_NAME = re.compile(r"image(?:_(?:raw|rect|rectified|color|mono))*|compressed|sensors?|driver")
 _BRIGHTEST = (1.0, 255.0, 65535.0)
 """Largest intensities of LiDARs: of calibrated ones, of one byte, of two."""
 _LOOKED_AT = 5
@@ -174,6 +176,9 @@ class BagDrive(AbstractPosedDrive):
         )
         if info is None:
             raise CalibrationError(f"expected a camera info beside {topic}, found none")
+        unread = index.encoding_faults.get(topic)
+        if unread is not None:
+            raise CalibrationError(f"{topic}: {unread}")
         to_lidar = index.tree.between(index.frame_ids[topic], self._lidar_frame)
         if to_lidar is None:
             raise CalibrationError(
@@ -183,6 +188,13 @@ class BagDrive(AbstractPosedDrive):
         is_rectified = name in self.scene.rectified or "/rect" in topic or "_rect" in topic
         facts = lens_facts(index.infos[info], info, is_rectified=is_rectified)
         doubts = []
+        if is_of_p(index.infos[info], is_rectified=is_rectified):
+            place = rectified_place(index, info, index.frame_ids[topic])
+            to_lidar = to_lidar @ place
+            if not np.allclose(place, np.eye(4), atol=1e-6):
+                doubts.append(
+                    f"{name}: {place_words(place)} {index.frame_ids[topic]!r}, by R and P of {info}"
+                )
         if not is_rectified and "_raw" not in topic and has_two_cameras(index.infos[info]):
             doubts.append(
                 f"{topic}: taken to be as the camera saw it (K, D), whose P is of another camera; if it is "

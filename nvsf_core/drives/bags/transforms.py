@@ -161,6 +161,10 @@ class TransformTree:
         common = next((name for name in up if name in down), None)
         return None if common is None else np.linalg.inv(down[common]) @ up[common]
 
+    def fixed_frames(self) -> set[str]:
+        """Names of all frames of links that do not move."""
+        return {name for link in self.fixed for name in link}
+
     def _fixed_way(self, frame: str) -> dict[str, np.ndarray]:
         """Frames above a frame by fixed links alone, and the frame's pose in each.
 
