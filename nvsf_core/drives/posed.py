@@ -26,8 +26,8 @@ from nvsf_core.geometry.se3 import pose_from_parts
 from nvsf_core.sensors.sweep import Trajectory, sweep_fraction
 from nvsf_core.sensors.sweep_clock import sweep_duration_s
 
-_LONGEST_GAP_S = 1.0
-"""Poses further apart say nothing of the path between them."""
+_LONGEST_GAP_S = 1.5
+"""Poses further apart say nothing of the path between them; those of a localisation of 1 Hz are nearer."""
 _LEAST_SHIFT = 0.1
 """Least distance of the middle of a scan's times from its stamp, in sweeps, for the stamp to be moved."""
 _LONGEST_SWEEP_S = 0.2
@@ -226,15 +226,23 @@ class AbstractPosedDrive(AbstractDrive):
         return None if stamp_s is None else stamp_s + self.stamp_shift_s
 
     def facts(self) -> DriveFacts:
-        """Calibration, poses and times."""
+        """Calibration, poses and times.
+
+        Raises:
+            DataError: No frame has a pose; and see the base class.
+        """
         path, times = self._path, self.times()
-        poses = {}
+        poses, lost_s = {}, []
         for frame in self.frames:
             moment_s = self.instant_s(frame)
-            pose = None if moment_s is None else path.at(moment_s)
-            if pose is not None:
+            if moment_s is None:
+                continue
+            pose = path.at(moment_s)
+            if pose is None:
+                lost_s.append(moment_s)
+            else:
                 poses[frame] = pose
-        notes = self._pace_notes()
+        notes = [*self._pace_notes(), *self._lost_poses(lost_s, len(poses))]
         if self.stamp_shift_s:
             notes.append(
                 f"scans are stamped {1000.0 * self.stamp_shift_s:.1f} ms before the middle of their sweep: "
@@ -246,8 +254,31 @@ class AbstractPosedDrive(AbstractDrive):
             has_scans=self.has_scans(), sensor="" if named == "found" else named, notes=tuple(notes),
         )  # fmt: skip
 
+    def _lost_poses(self, lost_s: list[float], found: int) -> list[str]:
+        """A note on frames at whose instants, in seconds, the path has no pose, next to so many that have.
+
+        Raises:
+            DataError: No frame has one.
+        """
+        if not lost_s:
+            return []
+        path, frames = self._path, f"{len(lost_s)} of {len(lost_s) + found} frames have no pose"
+        steps_s = np.diff(path.time_s) if len(path.time_s) > 1 else np.array([np.inf])
+        words = (
+            f"{frames}, the first at {lost_s[0]:.3f} s: expected poses at most {_LONGEST_GAP_S:g} s apart on "
+            f"both sides of a frame's instant; {path.place.name} has {len(path.time_s)} from "
+            f"{path.time_s[0]:.3f} to {path.time_s[-1]:.3f} s, {np.median(steps_s):.3g} s apart in the "
+            f"median, at most {steps_s.max():.3g} s"
+        )
+        if found:
+            return [words]
+        raise DataError(
+            f"scene {self.scene.name}: {words}; give poses at a higher rate and of the same clock, or remove "
+            f"them: `nvsf import {self.scene.root} --out DRIVE` then finds them from the scans (KISS-ICP)"
+        )
+
     def path_of_section(self) -> PosePath | None:
-        """The path's own poses within a second of the section, on the clock of `times`.
+        """The path's own poses within a gap's length of the section, on the clock of `times`.
 
         None where that clock is assumed: what lies between frames is then not known.
         """

@@ -94,12 +94,14 @@ class TransformTree:
 
         A frame that moves as several topics say, or in several parents, as two odometries have it, moves in
         one way alone: they drift apart. Transforms come before odometries, then the way with the most poses.
-        What a node for fixed transforms repeats on `/tf` is fixed; a car that stands all the time is not.
+        What a node for fixed transforms repeats on `/tf` is fixed, and so is a world that never moves in
+        another, as `odom` in `map`; a car that stands all the time is not.
         """
         ways: dict[str, list[_Way]] = {}
         for link, topics in self._by_topic.items():
             repeated = list(topics.get(_TRANSFORMS, {}).values())
-            if repeated and link[1] not in _WORLDS and _is_still(np.stack(repeated)):
+            is_car = link[1] in _WORLDS and link[0] not in _WORLDS
+            if repeated and not is_car and _is_still(np.stack(repeated)):
                 self.fixed.setdefault(link, repeated[0])
             else:
                 ways.setdefault(link[0], []).extend(_Way(link[1], *one) for one in topics.items())
@@ -125,7 +127,11 @@ class TransformTree:
         return links
 
     def path(self, frame: str) -> PosePath | None:
-        """Poses of a frame in its root; None if no link above it moves."""
+        """Poses of a frame in its root; None if no link above it moves.
+
+        Raises:
+            DataError: There is no moment at which all links above it are known.
+        """
         links = self.chain(frame)
         moving = {link: self._path_of(link) for link in links if link in self.moving}
         if not moving:
@@ -140,7 +146,13 @@ class TransformTree:
             if pose is not None:
                 times_s.append(time_s)
                 poses.append(pose)
-        return PosePath(np.array(times_s), np.stack(poses), self.place) if poses else None
+        if not poses:
+            found = "; ".join(f"{child} in {parent}: {_rate(one)}" for (child, parent), one in moving.items())
+            raise DataError(
+                f"{self.place}: expected moments at which all that moves above {frame!r} is known, found "
+                f"none: {found}; leave a topic out, or give poses at a higher rate"
+            )
+        return PosePath(np.array(times_s), np.stack(poses), self.place)
 
     def notes_on(self, frame: str) -> list[str]:
         """Which of several ways to move is taken, and which are not, of a frame and those above it."""
@@ -181,6 +193,12 @@ class TransformTree:
     def _path_of(self, link: tuple[str, str]) -> PosePath:
         times_s = np.array(sorted(self.moving[link]))
         return PosePath(times_s, np.stack([self.moving[link][one] for one in times_s.tolist()]), self.place)
+
+
+def _rate(path: PosePath) -> str:
+    """How many poses there are, when, and how far apart, in words."""
+    step = f", {np.median(np.diff(path.time_s)):.3g} s apart in the median" if len(path.time_s) > 1 else ""
+    return f"{len(path.time_s)} poses from {path.time_s[0]:.3f} to {path.time_s[-1]:.3f} s{step}"
 
 
 def _is_still(poses: np.ndarray) -> bool:
