@@ -226,7 +226,7 @@ def test_bad_frames_of_a_plain_drive_are_named_one_by_one_and_left_out(plain, tm
     ("name", "text", "reason"),
     [
         ("poses.csv", "frame,time_s,x\n0,0,1\n", r"poses\.csv: expected the columns time_s, x, y, z, qx"),
-        ("poses.csv", "frame,time_s\n0,zero\n", r"poses\.csv, row 2, time_s: expected a finite number"),
+        ("poses.csv", "frame,time_s\n0,zero\n", r"poses\.csv, line 2, time_s: expected a finite number"),
         ("frames.csv", "frame,time_s\n0,0\n1,0\n", r"frames\.csv: expected ascending times"),
         ("frames.csv", "frame,time_s\n0,0\n0,1\n", r"expected each frame once, found 0"),
         ("drive.json", '{"lidar": "HDL-65"}', r"drive\.json: lidar: expected 'found' or one of HDL-64E"),

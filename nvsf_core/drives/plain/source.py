@@ -14,10 +14,11 @@ from nvsf_core.drives.kitti360.images import decode_picture, read_image_bytes
 from nvsf_core.drives.kitti360.scans import MAX_ABSURD_SHARE, MOST_RETURNS, Scan, usable_scan
 from nvsf_core.drives.kitti360.text import read_bytes
 from nvsf_core.drives.lenses import Lens
+from nvsf_core.drives.plain.box_table import read_box_table
 from nvsf_core.drives.plain.clouds import Columns, read_bin, read_pcd, read_ply
 from nvsf_core.drives.plain.description import Description, read_cameras, read_description
 from nvsf_core.drives.plain.layout import IMAGE_KINDS, SCAN_KINDS, PlainLayout, numbered_files
-from nvsf_core.drives.plain.tables import read_box_table, read_pose_table, read_times
+from nvsf_core.drives.plain.tables import read_pose_table, read_times
 from nvsf_core.drives.posed import AbstractPosedDrive, PosePath
 from nvsf_core.drives.section import Section
 from nvsf_core.errors import DataError

@@ -1,60 +1,96 @@
 """Reading of a plain drive's tables: CSV files with a header row, of finite numbers."""
 
 import csv
-import io
-from collections.abc import Mapping, Sequence
+import math
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from nvsf_core.drives.kitti360.boxes import STATIC_FRAME, Box
-from nvsf_core.drives.kitti360.text import FARTHEST_M, MIB, read_text, rigid
+from nvsf_core.drives.kitti360.text import FARTHEST_M, MIB, require_regular, rigid
 from nvsf_core.drives.posed import PosePath, require_ascending
 from nvsf_core.errors import DataError
 
-_MOST_BYTES, _MOST_ID = 256 * MIB, 2**31 - 1
+_MOST_BYTES = 256 * MIB
+_LONGEST_LINE, _MOST_CELLS = 65_536, 50_000_000
+"""Characters of a line, and numbers of a table: 400 MB. Poses of 1 kHz for an hour are 47 million."""
 _PLACE = ("x", "y", "z")
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _MATRIX = tuple(f"m{row}{column}" for row in range(3) for column in range(4))
-_SIZE = ("length", "width", "height")
 
 
-def read_columns(path: Path, text_columns: Sequence[str] = (), fewest_rows: int = 1) -> dict[str, np.ndarray]:
-    """Columns of a CSV file by the name in its first row: float64, or text for those named.
+def read_rows(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
+    """Names of a CSV file's first row, and line number and cells of each other row.
+
+    Empty lines and those that begin with # are left out. A row is read when it is asked for.
 
     Raises:
-        DataError: It cannot be read, has fewer rows than `fewest_rows`, or a cell is not a finite number; the
-            message names the row and column.
+        DataError: It cannot be read, is too large, or its first row has no names or one twice.
     """
+    rows = _lines(path)
+    _, cells = next(rows, (0, []))
+    names = [name.strip() for name in cells]
+    if not names or len(set(names)) != len(names):
+        raise DataError(
+            f"{path}: expected a row of different column names and then rows of numbers, found "
+            f"{f'first {names}' if names else '0 rows'!s:.100}"
+        )
+    return names, rows
+
+
+def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Number and cells of a CSV file's lines; what is in memory is one of them."""
     try:
-        text = read_text(path, _MOST_BYTES)
-        rows = list(csv.reader(io.StringIO(text)))
+        require_regular(path, _MOST_BYTES)
+        with path.open(encoding="utf-8-sig") as file:
+            for number, line in enumerate(iter(lambda: file.readline(_LONGEST_LINE), ""), start=1):
+                if len(line) == _LONGEST_LINE:
+                    raise ValueError(f"line {number}: expected at most {_LONGEST_LINE:,} characters")
+                if line.strip() and not line.lstrip().startswith("#"):
+                    yield number, next(csv.reader([line], strict=True))
     except (OSError, ValueError, csv.Error) as error:
         raise DataError(f"cannot read {path} ({error}); docs/drives.md says what it holds") from error
-    rows = [row for row in rows if row and not row[0].lstrip().startswith("#")]
-    names = [name.strip() for name in rows[0]] if rows else []
-    if len(rows) <= fewest_rows or not names or len(set(names)) != len(names):
-        raise DataError(f"{path}: expected a row of different column names and then rows of numbers, found "
-                        f"{len(rows)} rows, first {names!s:.100}")  # fmt: skip
-    columns: dict[str, list[float | str]] = {name: [] for name in names}
-    for number, row in enumerate(rows[1:], start=2):
-        if len(row) != len(names):
-            raise DataError(f"{path}, row {number}: expected {len(names)} cells, found {len(row)}")
-        for name, cell in zip(names, row, strict=True):
-            columns[name].append(
-                cell.strip() if name in text_columns else _number(cell, f"{path}, row {number}, {name}")
-            )
-    return {name: np.array(values) for name, values in columns.items()}
 
 
-def _number(cell: str, where: str) -> float:
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """Columns (n,) float64 of a CSV file by the name in its first row.
+
+    Raises:
+        DataError: It cannot be read, has no rows or too many, or a cell is not a finite number; the message
+            names the line and column.
+    """
+    names, rows = read_rows(path)
+    # One number takes 8 bytes; as Python's own, or as text, several times that.
+    columns = [array("d") for _ in names]
+    for number, cells in rows:
+        if len(cells) != len(names):
+            raise DataError(f"{path}, line {number}: expected {len(names)} cells, found {len(cells)}")
+        if len(names) * len(columns[0]) >= _MOST_CELLS:
+            raise DataError(f"{path}: expected at most {_MOST_CELLS:,} numbers, found more; cut the drive")
+        for name, column, cell in zip(names, columns, cells, strict=True):
+            try:
+                column.append(finite_number(cell))
+            except ValueError as error:
+                raise DataError(f"{path}, line {number}, {name}: {error}; correct it") from error
+    if not columns[0]:
+        raise DataError(f"{path}: expected rows of numbers below the names, found none")
+    return {name: np.frombuffer(column) for name, column in zip(names, columns, strict=True)}
+
+
+def finite_number(cell: str) -> float:
+    """The number of a cell.
+
+    Raises:
+        ValueError: It is none, or not finite.
+    """
     try:
         value = float(cell)
     except ValueError:
-        value = float("nan")
-    if not np.isfinite(value):
-        raise DataError(f"{where}: expected a finite number, found {cell!r:.40}")
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"expected a finite number, found {cell!r:.40}")
     return value
 
 
@@ -141,46 +177,3 @@ def _matrices(columns: Mapping[str, np.ndarray], path: Path) -> np.ndarray:
     rotation = Rotation.from_quat(quaternion).as_matrix()
     place = np.stack([columns[name] for name in _PLACE], axis=1)
     return np.concatenate([rotation, place[:, :, None]], axis=2).reshape(-1, 12)
-
-
-def read_box_table(path: Path, frames: range) -> tuple[list[Box], list[str]]:
-    """Boxes of `boxes.csv` that are static or of these frames, and a reason for each that was left out.
-
-    A row is `frame` (-1 = static), `object_id`, `label`, `dynamic` (0, 1), the middle's `x, y, z, qx, qy, qz,
-    qw` in the world, and `length, width, height` in metres.
-
-    Raises:
-        DataError: See `read_columns`; or a column is absent.
-    """
-    # A drive without objects has no rows.
-    columns = read_columns(path, ("label",), fewest_rows=0)
-    numbers = ("frame", "object_id", "dynamic", *_PLACE, *_QUATERNION, *_SIZE)
-    require_columns(columns, ("label", *numbers), path)
-    if len(columns["frame"]) == 0:
-        return [], []
-    rows = _matrices(columns, path)
-    boxes, left_out = [], []
-    for k, row in enumerate(rows):
-        frame = int(columns["frame"][k])
-        if frame != STATIC_FRAME and frame not in frames:
-            continue
-        if not 0 <= columns["object_id"][k] <= _MOST_ID:
-            found = columns["object_id"][k]
-            left_out.append(
-                f"row {k + 2} of {path.name}: expected object_id 0 to {_MOST_ID}, found {found:g}"
-            )
-            continue
-        sides_m = np.array([columns[name][k] for name in _SIZE])
-        if not ((sides_m > 1e-3) & (sides_m < 1e3)).all():
-            left_out.append(f"row {k + 2} of {path.name}: expected sides of 1 mm to 1 km, found {sides_m}")
-            continue
-        matrix = np.eye(4)
-        matrix[:3] = row.reshape(3, 4)
-        matrix[:3, :3] *= sides_m
-        boxes.append(
-            Box(
-                frame=frame, object_id=int(columns["object_id"][k]), label=str(columns["label"][k]),
-                dynamic=bool(columns["dynamic"][k]), box_to_world=matrix,
-            )
-        )  # fmt: skip
-    return boxes, left_out

@@ -8,7 +8,6 @@ import pytest
 from nvsf_core.drives.drive import DriveFacts, drive_of
 from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.drives.plain.layout import PlainLayout
-from nvsf_core.drives.plain.tables import read_box_table
 from nvsf_core.drives.plain.writer import (
     write_cameras,
     write_description,
@@ -184,18 +183,6 @@ def test_intensities_of_another_scale_say_which_key_mends_it(tmp_path):
         drive_of(scene_at(tmp_path, "plain")).read_scan(0)
     layout.drive_path.write_text('{"intensity_max": 255}')
     assert drive_of(scene_at(tmp_path, "plain")).read_scan(0).points[:, 3].max() == 1.0
-
-
-def test_a_drive_without_objects_has_a_table_of_boxes_without_rows(tmp_path):
-    columns = "frame,object_id,label,dynamic,x,y,z,qx,qy,qz,qw,length,width,height"
-    (tmp_path / "boxes.csv").write_text(columns + "\n")
-    assert read_box_table(tmp_path / "boxes.csv", range(4)) == ([], [])
-    (tmp_path / "boxes.csv").write_text("frame,object_id\n")
-    with pytest.raises(DataError, match="label"):
-        read_box_table(tmp_path / "boxes.csv", range(4))
-    (tmp_path / "boxes.csv").write_text("")
-    with pytest.raises(DataError, match="found 0 rows"):
-        read_box_table(tmp_path / "boxes.csv", range(4))
 
 
 def _add_images(layout: PlainLayout) -> None:

@@ -1,0 +1,74 @@
+"""A plain drive's tables: bad boxes are left out by line and column, and a table takes little memory."""
+
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nvsf_core.drives.plain.box_table import read_box_table
+from nvsf_core.drives.plain.tables import read_columns
+from nvsf_core.errors import DataError
+
+COLUMNS = "frame,object_id,label,dynamic,x,y,z,qx,qy,qz,qw,length,width,height"
+GOOD = "0,7,Car,1,10,2,0,0,0,0,1,4,2,1.5"
+
+
+def test_a_drive_without_objects_has_a_table_of_boxes_without_rows(tmp_path):
+    columns = "frame,object_id,label,dynamic,x,y,z,qx,qy,qz,qw,length,width,height"
+    (tmp_path / "boxes.csv").write_text(columns + "\n")
+    assert read_box_table(tmp_path / "boxes.csv", range(4)) == ([], [])
+    (tmp_path / "boxes.csv").write_text("frame,object_id\n")
+    with pytest.raises(DataError, match="label"):
+        read_box_table(tmp_path / "boxes.csv", range(4))
+    (tmp_path / "boxes.csv").write_text("")
+    with pytest.raises(DataError, match="found 0 rows"):
+        read_box_table(tmp_path / "boxes.csv", range(4))
+
+
+@pytest.mark.parametrize(
+    ("bad", "reason"),
+    [
+        ("0,7,Car,1,10,two,0,0,0,0,1,4,2,1.5", "y: expected a finite number, found 'two'"),
+        ("0,7,Car,1,10,nan,0,0,0,0,1,4,2,1.5", "y: expected a finite number, found 'nan'"),
+        ("0,7,Car,1,10,2,0,0,0,0,0,4,2,1.5", "qx, qy, qz, qw: expected a quaternion of length 1"),
+        ("0,-7,Car,1,10,2,0,0,0,0,1,4,2,1.5", "object_id: expected a whole number 0 to"),
+        ("0.5,7,Car,1,10,2,0,0,0,0,1,4,2,1.5", "frame: expected a whole number -1 to"),
+        ("0,7,Car,yes,10,2,0,0,0,0,1,4,2,1.5", "dynamic: expected a finite number, found 'yes'"),
+        ("0,7,Car,1,10,2,0,0,0,0,1,4,2,0", "length, width, height: expected 1 mm to 1 km"),
+        ("0,7,Car,1,10,2,0", "expected 14 cells, found 7"),
+    ],
+)
+def test_a_bad_box_is_left_out_by_line_and_column_and_the_others_are_read(
+    tmp_path: Path, bad: str, reason: str
+) -> None:
+    path = tmp_path / "boxes.csv"
+    path.write_text(
+        "\n".join(["# of a labeller", COLUMNS, GOOD, "", bad, GOOD.replace("0,7", "9,8", 1), GOOD])
+    )
+    boxes, left_out = read_box_table(path, range(4))
+    assert [(box.frame, box.object_id, box.label) for box in boxes] == [(0, 7, "Car")] * 2
+    assert np.allclose(boxes[0].box_to_world[:3, 3], [10.0, 2.0, 0.0])
+    (words,) = left_out
+    assert words.startswith(f"line 5 of boxes.csv: {reason}")
+
+
+def test_a_table_takes_the_memory_of_its_numbers(tmp_path: Path) -> None:
+    path, rows, columns = tmp_path / "poses.csv", 20_000, 20
+    path.write_text(",".join(f"c{k}" for k in range(columns)) + "\n" + ("1," * (columns - 1) + "1\n") * rows)
+    tracemalloc.start()
+    found = read_columns(path)
+    _, most_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(found["c0"]) == rows and all((one == 1.0).all() for one in found.values())
+    assert most_bytes < 12 * rows * columns
+
+
+@pytest.mark.parametrize("text", ["a\n" + "1" * 70_000, "a,b\n" + '"1\n",' * 100, "a\n" + "1," * 40_000])
+def test_an_endless_line_is_refused_before_it_is_whole(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "poses.csv"
+    path.write_text(text)
+    with pytest.raises(
+        DataError, match=r"cannot read .*poses\.csv \((line 2: expected at most 65,536|unexp)"
+    ):
+        read_columns(path)
