@@ -119,7 +119,7 @@ CASES: list[tuple[str, Callable[[DriveLayout], None], Outcome]] = [
     (
         "a sparse scan of 20 GB",
         at(scan, harm.sparse(20)),
-        Doubted("all_scans_are_usable", "at most 8,192,000 bytes"),
+        Doubted("all_scans_are_usable", "at most 16,777,216 bytes"),
     ),
     (
         "a scan of ten million points",

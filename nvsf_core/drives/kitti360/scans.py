@@ -7,15 +7,14 @@ import numpy as np
 
 from nvsf_core.drives.kitti360.text import read_bytes
 from nvsf_core.errors import DataError, ShapeError
-from nvsf_core.sensors.tables import HDL_64E
 
 MAX_RANGE_M = 300.0
 """Longer than the range of any rotating car LiDAR (245 m of a VLS-128); points beyond it are absurd."""
 MAX_ABSURD_SHARE = 0.01
 """Scans with a larger share of absurd points are refused."""
 
-MOST_RETURNS = 2 * HDL_64E.laser_count * HDL_64E.lattice_steps
-"""Most returns of a sweep: two of each laser at each step of the encoder."""
+MOST_RETURNS = 2 * 128 * 4096
+"""Most returns of a sweep: two of each of 128 lasers at each of 4096 columns, the largest there is."""
 
 _BYTES_PER_RETURN = 16
 
@@ -72,7 +71,7 @@ def usable_scan(
         offset_s: (M,) time of each after the frame's; None = not recorded.
 
     Raises:
-        DataError: There are no returns, or more than 1 % of the points are absurd.
+        DataError: There are no returns, more than `MOST_RETURNS`, or more than 1 % of the points are absurd.
     """
     finite = np.isfinite(points).all(axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -93,6 +92,12 @@ def usable_scan(
     usable = ~(absurd | empty)
     if not usable.any():
         raise DataError(f"{path}: the scan has no returns; copy it again")
+    # What is written of a scan must be read again, whose size is checked by its file's.
+    if usable.sum() > MOST_RETURNS:
+        raise DataError(
+            f"{path}: expected at most {MOST_RETURNS:,} returns of one sensor's sweep, found "
+            f"{int(usable.sum()):,}; give each sensor's scans by themselves, and one sweep a scan"
+        )
     return Scan(
         points[usable].astype(np.float32),
         n_absurd,
