@@ -16,8 +16,6 @@ _FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8
 _TIMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "time_offset")
 _RINGS = ("ring", "channel", "line", "row")
 _INTENSITIES = ("intensity", "reflectivity", "i")
-_ABSOLUTE_S = 1e6
-"""Times beyond this are of a clock and not of a sweep."""
 _COLOURS = {
     "rgb8": None, "bgr8": cv2.COLOR_BGR2RGB, "rgba8": cv2.COLOR_RGBA2RGB, "bgra8": cv2.COLOR_BGRA2RGB,
     "mono8": cv2.COLOR_GRAY2RGB, "8UC1": cv2.COLOR_GRAY2RGB, "8UC3": cv2.COLOR_BGR2RGB,
@@ -34,7 +32,7 @@ _POLYNOMIAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
 def cloud_columns(message: Any, where: str) -> dict[str, np.ndarray]:
-    """Columns of a PointCloud2: x, y, z, and, where present, intensity, `ring`, and `time` after the stamp.
+    """Columns of a PointCloud2: x, y, z, and, where present, intensity, `ring`, and `time` as recorded.
 
     Points without a return (NaN) are left out.
 
@@ -81,24 +79,12 @@ def cloud_columns(message: Any, where: str) -> dict[str, np.ndarray]:
         own = next((name for name in known if name in names), None)
         if own is not None:
             found[column] = points[own]
-    if "time" in found:
-        found["time"] = _after_stamp(found["time"], stamp_s(message))
     return found
 
 
 def tells_lasers(message: Any) -> bool:
     """Whether a PointCloud2 gives each point's laser or time, as those of rotating LiDARs do."""
     return any(one.name in (*_RINGS, *_TIMES) for one in message.fields)
-
-
-def _after_stamp(time: np.ndarray, stamp: float) -> np.ndarray:
-    """Seconds after the stamp, of whole nanoseconds or seconds, of the sweep or of a clock."""
-    scale = 1e-9 if np.issubdtype(time.dtype, np.integer) else 1.0
-    seconds = time.astype(np.float64) * scale
-    if len(seconds) and float(np.nanmax(np.abs(seconds))) > _ABSOLUTE_S:
-        seconds = seconds if scale != 1.0 or seconds.max() < 1e12 else seconds * 1e-9
-        seconds = seconds - stamp
-    return seconds
 
 
 def stamp_s(message: Any) -> float:

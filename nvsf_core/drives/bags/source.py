@@ -28,6 +28,7 @@ from nvsf_core.drives.bags.messages import (
     image_rgb,
     is_of_p,
     lens_facts,
+    stamp_s,
 )
 from nvsf_core.drives.bags.rectified_places import place_words, rectified_place
 from nvsf_core.drives.drive import Recorded
@@ -270,8 +271,11 @@ class BagDrive(AbstractPosedDrive):
             except Exception as error:  # as above
                 raise DataError(f"{found.path}: damaged message ({error!s:.200})") from error
 
-    def _decoded(self, found: Recorded) -> dict[str, np.ndarray]:
-        return cloud_columns(self._message(found, (POINT_CLOUD,)), str(found.path))
+    def _decoded(self, found: Recorded) -> Scan:
+        """The scan with times after its stamp."""
+        message = self._message(found, (POINT_CLOUD,))
+        columns = cloud_columns(message, str(found.path))
+        return scan_of_columns(found.path, columns, self._brightest, stamp_s(message))
 
     @cached_property
     def _brightest(self) -> float:
@@ -280,9 +284,11 @@ class BagDrive(AbstractPosedDrive):
         for frame in list(self.frames)[:: max(1, len(self.frames) // _LOOKED_AT)]:
             try:
                 found = self.find_scan(frame)
-                shine = None if found is None else self._decoded(found).get("intensity")
+                if found is None:
+                    continue
+                shine = cloud_columns(self._message(found, (POINT_CLOUD,)), "").get("intensity")
             except DataError:
-                continue
+                continue  # named where the frame itself is read
             if shine is not None and len(shine):
                 most = max(most, float(np.percentile(shine.astype(np.float64), 99.9)))
         return next((one for one in _BRIGHTEST if most <= one), most)
@@ -290,11 +296,11 @@ class BagDrive(AbstractPosedDrive):
     def decode_scan(self, frame: int) -> Scan | None:
         """A frame's scan with times after its stamp."""
         found = self.find_scan(frame)
-        return None if found is None else scan_of_columns(found.path, self._decoded(found), self._brightest)
+        return None if found is None else self._decoded(found)
 
     def parse_scan(self, found: Recorded) -> Scan:
         """Decode points, intensity, ring and time."""
-        return self.centred(scan_of_columns(found.path, self._decoded(found), self._brightest))
+        return self.centred(self._decoded(found))
 
     def parse_image(self, camera: str, found: Recorded, width: int, height: int) -> np.ndarray:
         """Decode an image and take out the distortion that the flow has no model of."""

@@ -9,7 +9,7 @@ import numpy as np
 from nvsf_core.drives.drive import Boxes, DriveFacts, Recorded
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.calibration import Calibration
-from nvsf_core.drives.kitti360.frames import LONGEST_STEP_S, NOMINAL_PERIOD_S
+from nvsf_core.drives.kitti360.frames import NOMINAL_PERIOD_S
 from nvsf_core.drives.kitti360.images import decode_picture, read_image_bytes
 from nvsf_core.drives.kitti360.scans import MAX_ABSURD_SHARE, MOST_RETURNS, Scan, usable_scan
 from nvsf_core.drives.kitti360.text import read_bytes
@@ -19,16 +19,13 @@ from nvsf_core.drives.plain.clouds import Columns, read_bin, read_pcd, read_ply
 from nvsf_core.drives.plain.description import Description, read_cameras, read_description
 from nvsf_core.drives.plain.layout import IMAGE_KINDS, SCAN_KINDS, PlainLayout, numbered_files
 from nvsf_core.drives.plain.tables import read_pose_table, read_times
+from nvsf_core.drives.point_times import after_frame
 from nvsf_core.drives.posed import AbstractPosedDrive, PosePath
 from nvsf_core.drives.section import Section
 from nvsf_core.errors import DataError
 
 _MOST_POINT_BYTES = 256
 """Most bytes of a point in a file of any kind."""
-_LONGEST_SCAN_S = LONGEST_STEP_S
-"""Times farther from their frame's are of a clock, and their span is no scan's."""
-_LEAST_NANOSECONDS = 1e12
-"""Larger times are nanoseconds also where they are not whole numbers: no clock counts as many seconds."""
 _TIME_NAMES = ("time", "t", "timestamp", "time_offset")
 _ORGANISED_KINDS = (".ply", ".pcd")
 """Files that may have a place for each ray; one without a return is NaN there."""
@@ -266,7 +263,7 @@ def scan_of_columns(path: Path, columns: Columns, intensity_max: float, stamp_s:
     time = None
     if name is not None:
         # Some drivers write dropped rays as points at the sensor's origin, with a time of 0.
-        time = _after_frame(f"{path}: {name}", columns[name], np.asarray(rows.any(axis=1)), stamp_s)
+        time = after_frame(f"{path}: {name}", columns[name], np.asarray(rows.any(axis=1)), stamp_s)
     return usable_scan(path, points.astype(np.float32), columns.get("ring"), time)
 
 
@@ -289,43 +286,3 @@ def _require_intensities(path: Path, columns: Columns, intensity_max: float) -> 
             f"{path}: expected intensities 0 to {intensity_max:g}, found up to {brightest:g}; set "
             "intensity_max in drive.json to that of the brightest returns, as 255"
         )
-
-
-def _after_frame(where: str, time: np.ndarray, is_return: np.ndarray, stamp_s: float | None) -> np.ndarray:
-    """Seconds (N,) after the frame's time of what a file has: these, nanoseconds, or times of a clock.
-
-    Times of a clock count from the frame's where that is on the same clock, else from the first return.
-
-    Args:
-        where: File and column, for messages.
-        time: (N,) as recorded; whole numbers are nanoseconds, as drivers write them.
-        is_return: (N,) which points count.
-        stamp_s: Time of the frame; None = not known.
-
-    Raises:
-        DataError: One is not finite, or they are no scan's.
-    """
-    seconds = time.astype(np.float64)
-    if not np.isfinite(seconds).all():
-        raise DataError(f"{where}: expected a finite time of each point, found NaN or infinity")
-    if not is_return.any():
-        return seconds
-    if np.issubdtype(time.dtype, np.integer) or np.abs(seconds[is_return]).max() > _LEAST_NANOSECONDS:
-        seconds *= 1e-9
-    first_s, last_s = float(seconds[is_return].min()), float(seconds[is_return].max())
-    middle_s = 0.5 * (first_s + last_s)
-    # Of a clock that begins with the drive, the first scans' times are as small as times after the frame's.
-    is_same_clock = stamp_s is not None and abs(middle_s - stamp_s) < 0.5 * abs(middle_s)
-    if max(-first_s, last_s) <= _LONGEST_SCAN_S and not is_same_clock:
-        return seconds
-    # Single precision is coarser than a hundredth of a sweep from some hours on.
-    if last_s - first_s > _LONGEST_SCAN_S or (
-        time.dtype.itemsize < 8 and np.spacing(np.float32(last_s)) > 1e-3
-    ):
-        raise DataError(
-            f"{where}: expected times of one scan, within {_LONGEST_SCAN_S:g} s: seconds, or whole "
-            f"nanoseconds, after the frame's time or of a clock (then as double or 64-bit integers), found "
-            f"{first_s:.10g} to {last_s:.10g} s as {time.dtype}; correct their unit or type"
-        )
-    is_near = stamp_s is not None and abs(first_s - stamp_s) <= _LONGEST_SCAN_S
-    return seconds - (stamp_s if stamp_s is not None and is_near else first_s)

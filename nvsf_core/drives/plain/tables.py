@@ -16,6 +16,8 @@ from nvsf_core.errors import DataError
 _MOST_BYTES = 256 * MIB
 _LONGEST_LINE, _MOST_CELLS = 65_536, 50_000_000
 """Characters of a line, and numbers of a table: 400 MB. Poses of 1 kHz for an hour are 47 million."""
+_LONGEST_STEP_S, _LATEST_S = 30.0, 1e11
+"""Median step, and time, beyond which times are of another unit: 30 Hz in milliseconds, the year 5138."""
 _PLACE = ("x", "y", "z")
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _MATRIX = tuple(f"m{row}{column}" for row in range(3) for column in range(4))
@@ -125,6 +127,20 @@ def frame_numbers(columns: Mapping[str, np.ndarray], path: Path) -> np.ndarray:
     return whole
 
 
+def _require_seconds(time_s: np.ndarray, path: Path) -> None:
+    """Refuse times (n,) that only another unit explains.
+
+    Raises:
+        DataError: They are later than any date, or farther apart than any drive's.
+    """
+    step_s = float(np.median(np.abs(np.diff(time_s)))) if len(time_s) > 1 else 0.0
+    if step_s > _LONGEST_STEP_S or np.abs(time_s).max() > _LATEST_S:
+        raise DataError(
+            f"{path}: time_s: expected seconds, found {time_s[0]:.17g}, and rows {step_s:g} apart in the "
+            "median; divide milliseconds by 1e3, microseconds by 1e6, nanoseconds by 1e9"
+        )
+
+
 def read_times(path: Path) -> dict[int, float]:
     """Frame to seconds, of a table with the columns `frame` and `time_s`.
 
@@ -134,6 +150,7 @@ def read_times(path: Path) -> dict[int, float]:
     columns = read_columns(path)
     require_columns(columns, ("frame", "time_s"), path)
     frames = frame_numbers(columns, path)
+    _require_seconds(columns["time_s"], path)
     require_ascending(columns["time_s"], str(path))
     require_ascending(frames.astype(np.float64), f"{path}, column frame")
     return dict(zip(frames.tolist(), columns["time_s"].tolist(), strict=True))
@@ -154,6 +171,7 @@ def read_pose_table(path: Path) -> tuple[PosePath, np.ndarray | None]:
     else:
         require_columns(columns, ("time_s", *_PLACE, *_QUATERNION), path)
         values = _matrices(columns, path)
+    _require_seconds(columns["time_s"], path)
     require_ascending(columns["time_s"], str(path))
     poses = []
     for number, row in enumerate(values, start=2):

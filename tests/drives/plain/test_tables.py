@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.drives.plain.box_table import read_box_table
-from nvsf_core.drives.plain.tables import read_columns
+from nvsf_core.drives.plain.tables import read_columns, read_pose_table, read_times
 from nvsf_core.errors import DataError
 
 COLUMNS = "frame,object_id,label,dynamic,x,y,z,qx,qy,qz,qw,length,width,height"
@@ -72,3 +72,17 @@ def test_an_endless_line_is_refused_before_it_is_whole(tmp_path: Path, text: str
         DataError, match=r"cannot read .*poses\.csv \((line 2: expected at most 65,536|unexp)"
     ):
         read_columns(path)
+
+
+@pytest.mark.parametrize(("unit", "begin"), [(1e6, 1_700_000_000), (1e6, 0), (1e9, 0), (1e3, 0)])
+def test_whole_times_of_another_unit_are_refused_with_what_to_divide_by(
+    tmp_path: Path, unit: float, begin: int
+) -> None:
+    rows = [f"{frame},{(begin + 0.1 * frame) * unit:.0f}" for frame in range(4)]
+    (tmp_path / "frames.csv").write_text("\n".join(["frame,time_s", *rows]))
+    with pytest.raises(DataError, match=r"frames\.csv: time_s: expected seconds.*microseconds by 1e6"):
+        read_times(tmp_path / "frames.csv")
+    poses = [f"{row.partition(',')[2]},0,0,0,0,0,0,1" for row in rows]
+    (tmp_path / "poses.csv").write_text("\n".join(["time_s,x,y,z,qx,qy,qz,qw", *poses]))
+    with pytest.raises(DataError, match=r"poses\.csv: time_s: expected seconds"):
+        read_pose_table(tmp_path / "poses.csv")
