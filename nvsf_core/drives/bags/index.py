@@ -26,6 +26,7 @@ from nvsf_core.drives.bags.messages import (
     tells_lasers,
 )
 from nvsf_core.drives.bags.transforms import TransformTree, plain_name, pose_of
+from nvsf_core.drives.bags.unpacking import bound_unpacking
 from nvsf_core.drives.kitti360.text import MIB, read_text
 from nvsf_core.errors import DataError, MissingLibraryError
 
@@ -98,6 +99,7 @@ def open_bag(path: Path) -> Iterator[Any]:
     try:
         highlevel = importlib.import_module("rosbags.highlevel")
         typesys = importlib.import_module("rosbags.typesys")
+        bound_unpacking()
     except ImportError as error:
         raise MissingLibraryError(
             "bags are read by the package rosbags: pip install 'nvsf[rosbags]'"
@@ -150,6 +152,8 @@ def read_fault(path: Path, error: Exception, damaged: str) -> DataError:
         error: What was raised.
         damaged: What to say and do of a damaged bag.
     """
+    if isinstance(error, DataError):
+        return DataError(f"{path}: {error}")
     # A damaged bag may say to read where no file can be (EINVAL); the library's own errors have no number.
     if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
         return DataError(

@@ -1,5 +1,7 @@
 """Points of `.bin`, `.ply` and `.pcd` files, as columns by name."""
 
+import io
+from array import array
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,6 +12,7 @@ from nvsf_core.errors import DataError
 Columns = Mapping[str, np.ndarray]
 _MOST_POINTS, _MOST_BYTES = 4_000_000, 256
 """Of a file, and of one of its points."""
+_LONGEST_LINE = 65_536
 _PLY_TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
@@ -123,11 +126,18 @@ def _of_rows(path: Path, body: bytes, count: int, kind: np.dtype) -> dict[str, n
 
 def _of_text(path: Path, body: bytes, count: int, kinds: Mapping[str, str]) -> dict[str, np.ndarray]:
     """Columns of lines of text, each of its declared type."""
-    lines = body.decode("ascii", "replace").splitlines()[:count]
+    # A number takes 8 bytes here; as Python's own, or as text, several times that.
+    values, lines = array("d"), io.BytesIO(body)
     try:
-        rows = np.array([[float(word) for word in line.split()] for line in lines]).reshape(-1, len(kinds))
+        for _ in range(count):
+            line = lines.readline(_LONGEST_LINE)
+            words = line.split()
+            if line and (len(words) != len(kinds) or len(line) == _LONGEST_LINE):
+                raise ValueError(f"found {len(words)} in {line!r:.60}")
+            values.extend(float(word) for word in words)
     except ValueError as error:
         raise DataError(f"{path}: expected {len(kinds)} numbers a line ({error})") from error
+    rows = np.frombuffer(values).reshape(-1, len(kinds)) if values else np.zeros((0, len(kinds)))
     if len(rows) != count:
         raise DataError(f"{path}: expected {count} points, found {len(rows)}; copy it again")
     return {

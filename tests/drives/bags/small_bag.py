@@ -67,17 +67,25 @@ def camera(time_s: float, k: Sequence[float], d: Sequence[float], p: Sequence[fl
     return info, image
 
 
-def write_bag(folder: Path, messages: Sequence[tuple[str, Any, float]], *, of_file: bool = False) -> None:
+def write_bag(
+    folder: Path,
+    messages: Sequence[tuple[str, Any, float]],
+    *,
+    packed: rosbag2.CompressionMode | None = None,
+    is_mcap: bool = False,
+) -> None:
     """Write (topic, message, seconds) as a bag.
 
     Args:
         folder: To make.
         messages: In their order.
-        of_file: Whether its files are packed, as `ros2 bag record --compression-mode file` does.
+        packed: How, as `ros2 bag record --compression-mode` says; None = not.
+        is_mcap: Whether in MCAP files, or in sqlite's.
     """
-    bag = rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin.SQLITE3)
-    if of_file:
-        bag.set_compression(rosbag2.CompressionMode.FILE, rosbag2.CompressionFormat.ZSTD)
+    plugin = rosbag2.StoragePlugin.MCAP if is_mcap else rosbag2.StoragePlugin.SQLITE3
+    bag = rosbag2.Writer(folder, version=9, storage_plugin=plugin)
+    if packed is not None:
+        bag.set_compression(packed, rosbag2.CompressionFormat.ZSTD)
     known: dict[str, Any] = {}
     with bag:
         for topic, message, time_s in messages:

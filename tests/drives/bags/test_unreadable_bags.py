@@ -11,12 +11,12 @@ import pytest
 from nvsf_core.drives.bags.index import read_fault
 from nvsf_core.drives.detect import whole_drive
 from nvsf_core.errors import DataError
-from tests.drives.bags.small_bag import moving_lidar, write_bag
+from tests.drives.bags.small_bag import moving_lidar, rosbag2, write_bag
 
 
 def test_a_bag_of_packed_files_is_refused_with_the_command_that_unpacks_it(tmp_path: Path) -> None:
     place = tmp_path / "a bag"
-    write_bag(place, moving_lidar(), of_file=True)
+    write_bag(place, moving_lidar(), packed=rosbag2.CompressionMode.FILE)
     with pytest.raises(DataError, match="found `compression_mode: file`; unpack it once") as caught:
         whole_drive(place, "bag")
     words = str(caught.value)
