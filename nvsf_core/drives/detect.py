@@ -11,6 +11,7 @@ from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.scans import MOST_RETURNS
 from nvsf_core.drives.kitti360.text import read_bytes
 from nvsf_core.errors import DataError
+from nvsf_core.names import RESERVED_SCENES
 
 _WHOLE = (0, 1)
 """Frames of the entry by which a drive is asked for all that it has."""
@@ -66,7 +67,9 @@ def whole_drive(
     Raises:
         DataError: There is no such sequence, several and none is named, no frame, or not those asked for.
     """
-    name = _NOT_IN_NAMES.sub("_", sequence or source.stem).strip("_") or "drive"
+    name = _NOT_IN_NAMES.sub("_", sequence or source.stem).strip("_-") or "drive"
+    # A recording may well lie in a folder `drives`.
+    name = f"{name}_drive" if name in RESERVED_SCENES else name
     chosen = sequence or _only_sequence(source, kind) or name
     entry = SceneEntry(
         name=name[:60], root=source.absolute(), sequence=chosen, first_frame=_WHOLE[0], last_frame=_WHOLE[1],

@@ -257,3 +257,15 @@ def test_an_import_never_overwrites_and_leaves_nothing_half_written(plain, tmp_p
 def test_what_is_no_recording_is_refused_with_what_each_looks_like(tmp_path: Path):
     with pytest.raises(DataError, match=r"found another folder or file: a bag .* docs/drives\.md"):
         kind_of(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("folder", "name"), [("drives", "drives_drive"), ("dagster", "dagster_drive"), ("-8", "8")]
+)
+def test_a_drive_may_lie_in_a_folder_of_any_name(plain, tmp_path, folder, name):
+    shutil.copytree(plain, tmp_path / folder)
+    scene = whole_drive(tmp_path / folder, "plain")
+    assert scene.name == name
+    import_drive(scene, tmp_path / "out", progress=_silent)
+    (again,) = load_catalogue([tmp_path / "out/scenes.toml"], None)
+    assert again.name == name
