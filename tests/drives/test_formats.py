@@ -269,3 +269,12 @@ def test_a_drive_may_lie_in_a_folder_of_any_name(plain, tmp_path, folder, name):
     import_drive(scene, tmp_path / "out", progress=_silent)
     (again,) = load_catalogue([tmp_path / "out/scenes.toml"], None)
     assert again.name == name
+
+
+def test_a_data_set_of_high_frame_numbers_has_few_timestamps_that_are_read_again(root, tmp_path):
+    data = data_set(tiny_scene(root / "demo"))
+    write_kitti360(tmp_path, replace(data, numbers=[3_000_000 + number for number in data.numbers]))
+    paths = list(tmp_path.rglob("timestamps*.txt"))
+    assert len(paths) >= 3 and sum(path.stat().st_size for path in paths) < 10_000
+    times = drive_of(whole_drive(tmp_path / "kitti360", "kitti360")).times()
+    assert not times.is_assumed and np.allclose(times.time_s, data.stamp_s - data.stamp_s[0], atol=2e-6)

@@ -23,6 +23,9 @@ _CUBE = (
 )
 _NOT_IN_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _CUBE_FACES = "0 1 3 0 3 2 5 4 6 5 6 7 0 5 4 0 4 1 2 3 6 2 6 7 0 2 7 0 7 5 1 4 6 1 6 3"
+MOST_LINES_BEFORE = 100_000
+"""Of timestamps, for frames before a section: several times those of KITTI-360's longest drive. Of a section
+that begins later only its own lines are written, as of a drive that was cut out of a longer one."""
 
 
 @dataclass(frozen=True, slots=True)

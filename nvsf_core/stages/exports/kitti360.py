@@ -16,6 +16,7 @@ from nvsf_core.drives.kitti360.boxes import class_of, number_in_boxes
 from nvsf_core.drives.kitti360.layout import CAMERAS, PERSPECTIVE_CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.scans import write_scan
 from nvsf_core.drives.kitti360.writer import (
+    MOST_LINES_BEFORE,
     RectifiedCamera,
     WrittenBox,
     flat_fisheye,
@@ -108,9 +109,12 @@ def _write_calibration(layout: DriveLayout, cameras: dict[str, CameraRecord]) ->
 
 
 def _stamps_from_0(numbers: Sequence[int], stamp_s: np.ndarray, period_s: float) -> np.ndarray:
-    """Seconds of the frames 0 to the last; those that the data set lacks lie evenly between its own."""
+    """Seconds of the frames 0 to the last; those that the data set lacks lie evenly between its own.
+
+    They begin with the first of the data set where too many would lie before it.
+    """
     step_s = period_s if period_s > 0.0 else 0.1
-    frames = np.arange(max(numbers) + 1)
+    frames = np.arange(numbers[0] if numbers[0] > MOST_LINES_BEFORE else 0, max(numbers) + 1)
     found = np.interp(frames, numbers, stamp_s)
     found = np.where(frames < numbers[0], stamp_s[0] - step_s * (numbers[0] - frames), found)
     return np.asarray(found - min(0.0, float(found[0])))

@@ -18,6 +18,7 @@ from nvsf_core.drives.kitti360.calibration import CameraCalibration
 from nvsf_core.drives.kitti360.layout import CAMERAS, FISHEYE_CAMERAS, PERSPECTIVE_CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.scans import Scan, write_scan
 from nvsf_core.drives.kitti360.writer import (
+    MOST_LINES_BEFORE,
     RectifiedCamera,
     WrittenBox,
     flat_fisheye,
@@ -89,9 +90,11 @@ class Kitti360Target(AbstractTarget):
         write_frame_poses(layout.poses_path, posed, poses, rows=3)
         if "image_00" in cameras:
             write_frame_poses(layout.cam0_to_world_path, posed, poses @ cameras["image_00"].to_pose, rows=4)
-        # A line a frame from frame 0, also before the section.
         sweep_s, first = facts.times.sweep_period_s, self.scene.first_frame
-        stamps = np.concatenate([sweep_s * np.arange(first), first * sweep_s + facts.times.time_s])
+        # A line a frame from frame 0, also before the section; readers take a cut drive's own lines, too.
+        before = first if first <= MOST_LINES_BEFORE else 0
+        own_s = first * sweep_s + facts.times.time_s
+        stamps = np.concatenate([sweep_s * np.arange(before), own_s])
         # Scans of one instant begin when they end: so they are known when the tree is read.
         half_s = 0.5 * sweep_s if self.scene.is_to_compensate else 0.0
         for kind, shift_s in (("", 0.0), ("start", -half_s), ("end", half_s)):
@@ -99,6 +102,11 @@ class Kitti360Target(AbstractTarget):
         self._write_boxes(boxes)
         self.left_out += self._losses()
         self.notes += self._renames()
+        if before < first:
+            self.notes.append(
+                f"timestamps have lines of frames {first} to {self.scene.last_frame} alone, none for "
+                f"the {first:,} before"
+            )
 
     def _renames(self) -> list[str]:
         """Which camera is called what, and which pinhole is written as a fisheye, in words."""

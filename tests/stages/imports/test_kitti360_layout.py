@@ -74,6 +74,21 @@ def test_what_the_layout_cannot_hold_is_said(recorded, tmp_path):
     assert kept.left_out == ()
 
 
+@pytest.mark.parametrize("first", [7, 3_000_000])
+def test_timestamps_of_high_frame_numbers_are_few_and_are_read_again(tmp_path, first):
+    layout, moments_s = PlainLayout(tmp_path / "plain"), [0.0, 0.1, 0.21, 0.3]
+    write_poses(layout, range(first, first + FRAMES), moments_s, [np.eye(4)] * FRAMES)
+    points = np.random.default_rng(0).uniform(2.0, 9.0, (100, 4)).astype(np.float32)
+    points[:, 3] = 0.5
+    for frame in range(first, first + FRAMES):
+        write_plain_scan(layout, frame, Scan(points, 0))
+    done = import_drive(whole_drive(layout.root, "plain"), tmp_path / "out", layout="kitti360", progress=str)
+    assert sum(path.stat().st_size for path in (tmp_path / "out").rglob("timestamps*.txt")) < 10_000
+    assert any("timestamps have lines of frames" in words for words in done.notes) == (first > 7)
+    found = drive_of(whole_drive(tmp_path / "out", "kitti360")).times()
+    assert not found.is_assumed and np.allclose(found.time_s, moments_s, atol=2e-6)
+
+
 def test_a_camera_of_another_name_is_read_back_under_the_one_that_is_said(recorded, tmp_path):
     done = import_drive(whole_drive(recorded, "plain"), tmp_path / "out", layout="kitti360", progress=print)
     assert [words for words in done.notes if words.startswith("camera")] == [
