@@ -41,6 +41,13 @@ class _Ours(click.Group):
             return super().invoke(ctx)
         except NvsfError as error:
             raise click.ClickException(str(error)) from error
+        except PermissionError as error:
+            raise click.ClickException(_no_permission(error)) from error
+
+
+def _no_permission(error: PermissionError) -> str:
+    """What may not be read or written, and what to do."""
+    return f"cannot use {error.filename} ({error.strerror}); correct its owner or permissions"
 
 
 @click.group(cls=_Ours, context_settings={"help_option_names": ["-h", "--help"]})
@@ -254,12 +261,16 @@ def scenes() -> None:
 
     home = home_from_environment(os.environ)
     for entry in catalogue_from_environment(os.environ):
-        trained = [folder.parent for folder in published(home / entry.name / "field", "*/*/stage.json")]
-        made = ", ".join(f"{folder.parent.name} seed {folder.name}" for folder in trained) or "not trained"
         try:
+            trained = [folder.parent for folder in published(home / entry.name / "field", "*/*/stage.json")]
+            made = (
+                ", ".join(f"{folder.parent.name} seed {folder.name}" for folder in trained) or "not trained"
+            )
             there = made if has_data(entry) or is_embedded(entry) else f"no data at {entry.root}"
         except NvsfError as error:
             there = str(error)
+        except PermissionError as error:
+            there = _no_permission(error)
         click.echo(f"{entry.name:32} frames {entry.first_frame} to {entry.last_frame}: {there}")
 
 

@@ -96,7 +96,8 @@ def _locks(environ: Mapping[str, str]) -> Finding:
 
 def _existing(place: Path) -> Path:
     """The folder, or the nearest one above it that exists."""
-    return next(folder for folder in (place.absolute(), *place.absolute().parents) if folder.is_dir())
+    # `Path.is_dir` raises below a folder that may not be entered.
+    return next(folder for folder in (place.absolute(), *place.absolute().parents) if os.path.isdir(folder))
 
 
 def _catalogue(environ: Mapping[str, str]) -> Finding:

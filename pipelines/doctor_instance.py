@@ -34,11 +34,11 @@ def examine_instance(environ: Mapping[str, str]) -> tuple[bool, str]:
     An instance that does not exist yet is fine: the first run makes it.
     """
     place = instance_place(environ)
-    if not (place / TEMPLATE).is_file():
-        return True, f"none at {place} yet; `make ui` or the first run makes it"
-    if not (place / "history").is_dir():
-        return True, f"{place}, without any run yet"
     try:
+        if not (place / TEMPLATE).is_file():
+            return True, f"none at {place} yet; `make ui` or the first run makes it"
+        if not (place / "history").is_dir():
+            return True, f"{place}, without any run yet"
         with dg.DagsterInstance.from_config(str(place)) as instance:
             faults = list(_faults(instance))
             words = f"{place}, {instance.get_runs_count()} runs, {_daemon(instance)}"

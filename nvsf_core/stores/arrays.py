@@ -17,7 +17,7 @@ import zarr
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from nvsf_core.errors import StoreError
-from nvsf_core.stores.documents import Contents, foreign
+from nvsf_core.stores.documents import Contents, foreign, unreadable
 from nvsf_core.stores.local_files import LocalFiles
 from nvsf_core.stores.schemas import field_faults, spec_at, violations
 
@@ -202,7 +202,8 @@ def _reading(path: Path) -> Iterator[None]:
     except StoreError:
         raise
     except Exception as error:
-        raise foreign(path, f"expected what this project wrote, found it damaged ({error!r:.300})") from error
+        words = f"expected what this project wrote, found it damaged ({error!r:.300})"
+        raise unreadable(path, error, words) from error
 
 
 def _chunks(array: np.ndarray) -> tuple[int, ...]:

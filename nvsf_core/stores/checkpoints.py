@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from nvsf_core.errors import StoreError
-from nvsf_core.stores.documents import Contents, foreign, remove_left_documents
+from nvsf_core.stores.documents import Contents, foreign, remove_left_documents, unreadable
 from nvsf_core.stores.writers import temporary_of
 
 
@@ -50,11 +50,14 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     if not path.is_file():
         raise StoreError(f"no checkpoint at {path}")
     try:
+        path.open("rb").close()  # safetensors says of a file that may not be read that it is absent
         with safe_open(str(path), framework="pt") as handle:
             tensors = {name: handle.get_tensor(name) for name in handle.keys()}  # noqa: SIM118 (not a dict)
             meta: Any = json.loads((handle.metadata() or {}).get("json", "{}"))
             if not isinstance(meta, dict):
                 raise TypeError(f"facts: expected an object, found {meta!r:.60}")
+    except PermissionError as error:
+        raise unreadable(path, error, "") from error
     except Exception as error:
         raise StoreError(
             f"{path} is no readable safetensors file ({error!r:.300}); delete it and run again"

@@ -29,8 +29,8 @@ def read_document(path: Path) -> dict[str, Any]:
         found = json.loads(path.read_text(encoding="utf-8"))
     # Thousands of nested brackets raise a RecursionError.
     except (OSError, ValueError, RecursionError) as error:
-        raise foreign(
-            path, f"expected a JSON object of at most {MOST_BYTES >> 20} MiB, found {error!s:.200}"
+        raise unreadable(
+            path, error, f"expected a JSON object of at most {MOST_BYTES >> 20} MiB, found {error!s:.200}"
         ) from error
     if not isinstance(found, dict):
         raise foreign(path, f"expected a JSON object, found a {type(found).__name__}")
@@ -92,6 +92,21 @@ def foreign(path: Path, found: str) -> StoreError:
         found: What was expected of it and what was found.
     """
     return StoreError(f"{path}: {found}; delete {path.parent} and run again: it is then made anew")
+
+
+def unreadable(path: Path, error: Exception, damaged: str) -> StoreError:
+    """The error for a stored file that cannot be read: it may be whole, and this user may not read it.
+
+    Args:
+        path: The file or group.
+        error: What was raised.
+        damaged: What was expected and found where it is not a matter of permissions.
+    """
+    if isinstance(error, PermissionError):
+        return StoreError(
+            f"{path}: permission denied; it may well be whole: correct its owner or permissions"
+        )
+    return foreign(path, damaged)
 
 
 MOST_PICTURE_BYTES = 8 << 20

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nvsf_core.errors import StoreError
-from nvsf_core.stores.documents import Contents, foreign
+from nvsf_core.stores.documents import Contents, foreign, unreadable
 from nvsf_core.stores.schemas import column_faults, spec_at
 
 Column = Sequence[Any]
@@ -37,7 +37,9 @@ def read_table(path: Path) -> dict[str, list[Any]]:
             table = file.read()
             columns: Contents[list[Any]] = Contents(path, table.to_pydict())
     except Exception as error:  # Arrow, its decoders and the disk raise many kinds of errors
-        raise foreign(path, f"expected a Parquet table, found it damaged ({error!r:.300})") from error
+        raise unreadable(
+            path, error, f"expected a Parquet table, found it damaged ({error!r:.300})"
+        ) from error
     spec = spec_at(path)
     faults = [] if spec is None else column_faults(spec, {f.name: _short(f.type) for f in table.schema})
     if faults:
@@ -54,7 +56,9 @@ def column_kinds(path: Path) -> dict[str, str]:
     try:
         return {field.name: _short(field.type) for field in pq.read_schema(path)}
     except Exception as error:
-        raise foreign(path, f"expected a Parquet table, found it damaged ({error!r:.300})") from error
+        raise unreadable(
+            path, error, f"expected a Parquet table, found it damaged ({error!r:.300})"
+        ) from error
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:

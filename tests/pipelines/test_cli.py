@@ -181,3 +181,34 @@ def test_a_scene_whose_root_cannot_be_looked_into_stops_no_other(ask, tiny_catal
     said = ask("doctor").output
     assert "scene hidden: cannot look into" in said and "with data here: tiny" in said
     assert ask("report").exit_code == 0
+
+
+def test_a_scene_that_may_not_be_entered_is_named_and_the_others_are_listed(ask, tmp_path):
+    closed = tmp_path / "home" / "tiny"
+    (closed / "field").mkdir(parents=True)
+    closed.chmod(0)
+    try:
+        if os.access(closed, os.X_OK):
+            pytest.skip("this user, as root, may enter what nobody may")
+        said = ask("scenes")
+    finally:
+        closed.chmod(0o700)
+    assert said.exit_code == 0, said.output
+    assert f"cannot use {closed / 'field'} (Permission denied); correct its owner" in said.output
+
+
+def test_the_doctor_goes_on_where_folders_may_not_be_entered(tiny_catalogue, tmp_path):
+    closed = tmp_path / "closed"
+    (closed / "home").mkdir(parents=True)
+    closed.chmod(0)
+    place = str(closed / "home")
+    try:
+        if os.access(closed, os.X_OK):
+            pytest.skip("this user, as root, may enter what nobody may")
+        found = examine({"NVSF_HOME": place, "DAGSTER_HOME": place, "NVSF_SCENES": str(tiny_catalogue)})
+    finally:
+        closed.chmod(0o700)
+    words = {one.subject: one.words for one in found if not one.is_fine}
+    assert all("ermission denied" in words[name] for name in ("NVSF_HOME", "locks", "Dagster instance")), (
+        words
+    )
