@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nvsf_core.errors import DataError
+from nvsf_core.sensors.ray_origins import origin_words
 from nvsf_core.sensors.tables import LaserTable
 
 Scans = Sequence[tuple[np.ndarray, np.ndarray | None]]
@@ -89,10 +90,13 @@ def find_table(scans: Scans, others: Scans = ()) -> FoundTable:
     lines = _lines(groups)
     good = [k for k, one in enumerate(lines) if one.spread_rad <= _SPREAD_RAD]
     if not good or 2 * len(good) < len(groups):
+        doubt = (
+            "is this one scan of one rotating LiDAR, in its own frame, not merged with another's and not "
+            f"corrected for motion? If so, {advice}"
+        )
         raise DataError(
             f"lasers: {words}, and {len(groups) - len(good)} of {len(groups)} look into more than one "
-            "direction: is this one scan of a rotating LiDAR, in its own frame and not corrected for motion? "
-            f"If so, {advice}"
+            f"direction: {origin_words(groups) or doubt}"
         )
     order = sorted(good, key=lambda k: -lines[k].elevation_rad)
     left_out = len(groups) - len(order) + sparse
@@ -103,7 +107,7 @@ def find_table(scans: Scans, others: Scans = ()) -> FoundTable:
     if fitting < _LEAST_FITTING:
         raise DataError(
             f"lasers: {words}, found {len(groups)}, but {fitting:.0%} of the far returns lie on one of them, "
-            f"expected {_LEAST_FITTING:.0%}; {advice}"
+            f"expected {_LEAST_FITTING:.0%}; {origin_words(groups) or advice}"
         )
     steps, peak, arms_m, phases = _lattice(groups)
     here = [points_m[points_m[:, 3] < len(scans)] for points_m in groups]
