@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from nvsf_core.evidence.moving.object_evidence import MovingObject, MovingObjects
 from nvsf_core.evidence.moving.path_fitting import LONGEST_FRAME_S, Path, carry_on, solve_path
+from nvsf_core.evidence.moving.path_gaps import fill_gaps
 from nvsf_core.evidence.moving.visibility import (
     SEED,
     STATIC,
@@ -324,7 +325,8 @@ def find_moving_objects(returns: TimedReturns) -> MovingObjects:
 
     def follow(number: int) -> None:
         solve_path(paths[number], returns)
-        if carry_on(paths[number], returns, above_ground):
+        carried = carry_on(paths[number], returns, above_ground)
+        if fill_gaps(paths[number], returns, above_ground) or carried:
             solve_path(paths[number], returns)
 
     in_parts(follow, len(paths))
@@ -351,9 +353,7 @@ def _whole_objects(
     objects: list[MovingObject] = []
     for path in sorted(paths, key=lambda p: (-sum(map(len, p.members)), p.scan[0])):
         moving = path.as_object(returns.frame_s)
-        own = np.concatenate(path.members)
-        shape_o = moving.to_object(returns.point_m[own].astype(np.float64), returns.time_s[own])
-        shape_o = _thinned(shape_o)
+        shape_o = _thinned(path.shape(returns))
         taken = _take(moving, shape_o, returns, above_ground, object_id)
         local = moving.to_object(returns.point_m[taken].astype(np.float64), returns.time_s[taken])
         if not _is_object(taken, local, returns, _LEAST_RETURNS * density):

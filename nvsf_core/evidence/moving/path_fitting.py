@@ -28,7 +28,8 @@ _LEAST_CARRIED = 0.5
 _MOST_RESIDUAL_M = 0.2
 _MOST_MISSES = 2
 _MODEL_SCANS = 3
-_LEAST_RETURNS = 8
+LEAST_RETURNS = 8
+"""Fewer in a scan tell nothing of where an object is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,6 +151,33 @@ class Path:
             np.array(self.scan, np.int32), self.time_s, self.pose, frame_s, np.zeros(3), np.zeros(3)
         )
 
+    def shape(self, returns: TimedReturns) -> np.ndarray:
+        """Returns (k, 3) of all its scans in the object's frame, metres."""
+        members = np.concatenate(self.members)
+        moving = self.as_object(returns.frame_s)
+        return moving.to_object(returns.point_m[members].astype(np.float64), returns.time_s[members])
+
+    @property
+    def fastest_m_s(self) -> float:
+        """Greatest speed from scan to scan."""
+        step_m = np.linalg.norm(np.diff(self.pose[:, :3], axis=0), axis=1)
+        return float((step_m / np.diff(self.time_s)).max())
+
+    def insert(self, at: int, scan: int, members: np.ndarray, time_s: float, pose: np.ndarray) -> None:
+        """Add a scan before the one at place `at`.
+
+        Args:
+            at: From 0 to the number of scans.
+            scan: Its number.
+            members: (k,) int64 indices of its returns of the object.
+            time_s: Their mean time.
+            pose: (4,) at that time.
+        """
+        self.scan.insert(at, scan)
+        self.members.insert(at, members)
+        self.time_s = np.insert(self.time_s, at, time_s)
+        self.pose = np.insert(self.pose, at, pose, axis=0)
+
 
 def solve_path(path: Path, returns: TimedReturns) -> None:
     """Register the path's clouds with one another and estimate its poses anew, in place."""
@@ -183,7 +211,7 @@ def _carry(path: Path, returns: TimedReturns, above_ground: AboveGround, *, forw
         if found is None:
             misses += 1
         else:
-            _add(path, scan, *found, forward=forward)
+            path.insert(len(path.scan) if forward else 0, scan, *found)
             grown, misses = True, 0
         scan += step
     return grown
@@ -201,14 +229,14 @@ def _find_in_scan(
     for _ in range(2):
         pose = moving.pose_at(np.array([time_s]))[0]
         near = above_ground.loose_near(returns, scan, pose[:3] - margin, pose[:3] + margin)
-        if len(near) < _LEAST_RETURNS:
+        if len(near) < LEAST_RETURNS:
             return None
         time_s = float(returns.time_s[near].mean())
     local = moving.to_object(returns.point_m[near].astype(np.float64), returns.time_s[near])
     distance, _ = cKDTree(model_o).query(local, distance_upper_bound=_REACH_M)
     members = near[np.isfinite(distance)]
     last = len(path.members[-1 if forward else 0])
-    if len(members) < max(_LEAST_SHARE * last, _LEAST_RETURNS):
+    if len(members) < max(_LEAST_SHARE * last, LEAST_RETURNS):
         return None
     time_s = float(returns.time_s[members].mean())
     pose = moving.pose_at(np.array([time_s]))[0]
@@ -223,16 +251,6 @@ def _find_in_scan(
     pose[:3] -= pair.motion[0, 1:]
     pose[3] -= pair.motion[0, 0]
     return members, time_s, pose
-
-
-def _add(
-    path: Path, scan: int, members: np.ndarray, time_s: float, pose: np.ndarray, *, forward: bool
-) -> None:
-    at = len(path.scan) if forward else 0
-    path.scan.insert(at, scan)
-    path.members.insert(at, members)
-    path.time_s = np.insert(path.time_s, at, time_s)
-    path.pose = np.insert(path.pose, at, pose, axis=0)
 
 
 def _end(path: Path, forward: bool) -> Path:
