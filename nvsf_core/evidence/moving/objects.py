@@ -29,7 +29,9 @@ _KEPT_SURFELS = 256
 """Objects whose surfels are kept: what the bonnet mirrors is seen from elsewhere, but mostly by the same
 scans."""
 _SOME = 256
-"""Rays from which a sweep's mean origin and time are estimated, to decimetres and hundredths of a second."""
+"""Rays from which a sweep's origins are estimated: to decimetres, and their extent to a twentieth."""
+_BEYOND_SOME = 1.2
+"""By how much the extent of all origins may be larger, in any case."""
 
 
 SurfelsBuilder = Callable[[ObjectEvidence, np.ndarray, float], Surfels | None]
@@ -91,11 +93,9 @@ def prove_objects(
     found = []
     for number, path in enumerate(moving.objects):
         parts = []
-        for scan, scan_time_s in zip(path.scan, path.time_s, strict=True):
+        for scan in path.scan:
             part = slice(int(offsets[scan]), int(offsets[scan + 1]))
-            inside, origin_o, direction_o = _crossing(
-                path, scan_time_s, origin_m[part], direction[part], time_s[part], spare_m=1.0
-            )
+            inside, origin_o, direction_o = _crossing(path, origin_m[part], direction[part], time_s[part])
             parts.append((part.start + inside, origin_o, direction_o, np.full(len(inside), scan, np.int32)))
         index = np.concatenate([part[0] for part in parts])
         rays = ObjectRays(
@@ -230,8 +230,7 @@ def candidates_on(
         (k,) int64 ascending numbers of the rays that meet it, and candidates (k, 12) with the numbers of the
         object's own voxels.
     """
-    middle_s = float(np.median(_some(time_s))) if len(time_s) > 0 else 0.0
-    inside, origin_o, direction_o = _crossing(one.path, middle_s, origin_m, direction, time_s, spare_m=2.0)
+    inside, origin_o, direction_o = _crossing(one.path, origin_m, direction, time_s)
     own = candidates_of(one.surfels, origin_o, direction_o, most=_MOST_CANDIDATES, near_m=near_m, far_m=far_m)
     met = own.voxel[:, 0] >= 0
     found = Candidates(own.range_m[met], own.voxel[met], own.opacity[met], own.cosine[met])
@@ -290,39 +289,42 @@ def _some(column: np.ndarray) -> np.ndarray:
 
 
 def _crossing(
-    path: MovingObject,
-    middle_s: float,
-    origin_m: np.ndarray,
-    direction: np.ndarray,
-    time_s: np.ndarray,
-    *,
-    spare_m: float,
+    path: MovingObject, origin_m: np.ndarray, direction: np.ndarray, time_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which rays (k,) int64 of (r, 3) cross the object's bounds at their own times (r,).
 
-    Also returns their origins and directions (k, 3) float32 in its frame. Only rays towards a ball around the
-    object at `middle_s` are tested; `spare_m` enlarges it by how far the object moves until they are fired.
+    Also returns their origins and directions (k, 3) float32 in its frame.
     """
-    axis, least_cosine = _cone(path, middle_s, origin_m, spare_m)
-    first_s, last_s = path.there_s
-    box = MovingBounds(
-        axis, least_cosine, first_s, last_s, path.time_s, path.pose, path.low_m - _MARGIN_M,
-        path.high_m + _MARGIN_M,
-    )  # fmt: skip
+    if len(time_s) == 0:
+        return np.zeros(0, np.int64), np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)
+    low_m, high_m = path.low_m - _MARGIN_M, path.high_m + _MARGIN_M
+    axis, least_cosine = _cone(path, 0.5 * float(np.linalg.norm(high_m - low_m)), origin_m, time_s)
+    box = MovingBounds(axis, least_cosine, *path.there_s, path.time_s, path.pose, low_m, high_m)
     crossing: tuple[np.ndarray, np.ndarray, np.ndarray] = rays_into_bounds(origin_m, direction, time_s, box)
     return crossing
 
 
 def _cone(
-    path: MovingObject, time_s: float, origin_m: np.ndarray, spare_m: float
+    path: MovingObject, radius_m: float, origin_m: np.ndarray, time_s: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Cone from the rays' mean origin to an object's ball at a time: axis (3,) float64, least cosine."""
-    centre_o = 0.5 * (path.low_m + path.high_m)
-    pose = path.matrix_at(np.array([time_s]))[0]
-    radius_m = 0.5 * float(np.linalg.norm(path.high_m - path.low_m)) + spare_m
-    start_m = _some(origin_m).mean(axis=0) if len(origin_m) > 0 else np.zeros(3)
-    towards_m = pose[:3, :3] @ centre_o + pose[:3, 3] - start_m
+    """Cone with all rays, (r, 3) origins at times (r,), that meet a ball around the object.
+
+    Its apex is in the middle of the origins and the object in the middle of its way: the ball is enlarged by
+    what either is off there at most.
+
+    Returns:
+        Axis (3,) float64, and the least cosine of a ray's angle to it.
+    """
+    start_s, end_s = np.clip([time_s.min(), time_s.max()], *path.there_s)
+    on_way_s = path.time_s[(path.time_s > start_s) & (path.time_s < end_s)]
+    pose = path.matrix_at(np.concatenate([[0.5 * (start_s + end_s), start_s, end_s], on_way_s]))
+    centre_m = pose[:, :3, :3] @ (0.5 * (path.low_m + path.high_m)) + pose[:, :3, 3]
+    some_m = _some(origin_m).astype(np.float64)
+    first_m, last_m = some_m.min(axis=0), some_m.max(axis=0)
+    reach_m = radius_m + np.linalg.norm(centre_m - centre_m[0], axis=1).max()
+    reach_m += _BEYOND_SOME * 0.5 * np.linalg.norm(last_m - first_m)
+    towards_m = centre_m[0] - 0.5 * (first_m + last_m)
     distance_m = float(np.linalg.norm(towards_m))
-    if distance_m <= radius_m:
+    if distance_m <= reach_m:
         return np.zeros(3), -1.0
-    return towards_m / distance_m, float(np.sqrt(1.0 - (radius_m / distance_m) ** 2))
+    return towards_m / distance_m, float(np.sqrt(1.0 - (reach_m / distance_m) ** 2))

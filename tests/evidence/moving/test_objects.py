@@ -8,7 +8,7 @@ import pytest
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.drop_prior import DropPrior, build_drop_prior
 from nvsf_core.evidence.moving.object_evidence import MovingObject, MovingObjects, ObjectHitPriors
-from nvsf_core.evidence.moving.objects import NearObjects, objects_at, prove_objects
+from nvsf_core.evidence.moving.objects import NearObjects, candidates_on, objects_at, prove_objects
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, SceneEvidence
 from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.rendering.reproject import reproject_rays
@@ -104,6 +104,19 @@ def test_a_scan_of_which_no_laser_is_known_has_no_vote_on_an_object(passing) -> 
     # Where no scan that saw it has a vote it is known by its returns alone.
     (nobody,) = hit_priors.near([(plate.path, np.array([2]))], 0.2)
     assert nobody.share(place).tolist() == [1.0]
+
+
+def test_a_fast_plate_is_met_at_both_ends_of_a_long_sweep(passing) -> None:
+    dynamic, _ = passing
+    (plate,) = objects_at(dynamic.objects, 0.25, ALWAYS)
+    instants = np.arange(SCANS) * 0.5
+    y_m = 40.0 * (instants - instants.mean())
+    pose = np.column_stack([np.full(SCANS, PLATE_M), y_m, 0 * y_m, 0 * y_m])
+    fast = replace(plate, path=replace(plate.path, time_s=instants, pose=pose, frame_s=0.5))
+    time_s = instants.mean() + np.linspace(-0.25, 0.25, 101)
+    origin, direction = ray_towards(40.0 * (time_s - instants.mean()), 0 * time_s)
+    met, _ = candidates_on(fast, origin, direction, time_s, near_m=0.5, far_m=50.0)
+    assert met.tolist() == list(range(101))
 
 
 def test_the_plate_is_where_it_is_at_each_rays_own_time(passing) -> None:
