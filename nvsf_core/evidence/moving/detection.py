@@ -3,14 +3,14 @@
 What moves in a scan is clustered; clusters are linked to tracks; a track's path gathers the whole object.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from nvsf_core.evidence.moving.object_evidence import MovingObject, MovingObjects
+from nvsf_core.evidence.moving.object_evidence import MovingObjects
 from nvsf_core.evidence.moving.path_fitting import LONGEST_FRAME_S, Path, carry_on, solve_path
 from nvsf_core.evidence.moving.path_gaps import fill_gaps
 from nvsf_core.evidence.moving.visibility import (
@@ -21,6 +21,7 @@ from nvsf_core.evidence.moving.visibility import (
     build_ground,
     classify_returns,
 )
+from nvsf_core.evidence.moving.whole_objects import LEAST_SCANS, whole_objects
 from nvsf_core.kernels.threads import in_parts
 
 ABOVE_GROUND_M = 0.25
@@ -28,14 +29,6 @@ ABOVE_GROUND_M = 0.25
 _HIGHEST_M = 5.0
 _FARTHEST_M = 80.0
 _NEAREST_M = 1.0
-_MODEL_VOXEL_M = 0.15
-_GROW_M = 0.3
-_LEAST_RETURNS = 30
-_MOST_OF_WORLD_SHAPE = 0.8
-"""Most voxels that an object's returns may fill in its own frame, as a share of those they fill in the world.
-What does not move, such as a hedge whose visible side changes, fills as many or more."""
-_OWN_VEHICLE_M = 2.5
-"""What is never farther from the sensor than this is part of the own vehicle, such as an antenna."""
 _VOXEL_M = 0.25
 _LINK_M = 0.5
 _LEAST_SEEDS = 8
@@ -59,7 +52,6 @@ _ALIKE_SIZE = 1.5
 _MOST_COST = 1.6
 _SIZE_COST_M = 0.3
 _LONGEST_GAP_FRAMES, _LONGEST_GAP_SCANS = 3.5, 1.5
-_LEAST_SCANS = 3
 _LEAST_MOVED_M = 0.5
 _LEAST_SPEED_M = 0.04
 """Metres per frame; slower motion is noise."""
@@ -278,7 +270,7 @@ def _are_alike(one: Cluster, other: Cluster) -> bool:
 
 
 def _has_moved(track: Track, frame_s: float, density: float) -> bool:
-    if len(track.clusters) < _LEAST_SCANS:
+    if len(track.clusters) < LEAST_SCANS:
         return False
     first, last = track.clusters[0], track.clusters[-1]
     moved_m = float(np.linalg.norm(last.centre_m - first.centre_m))
@@ -311,7 +303,7 @@ def find_moving_objects(returns: TimedReturns) -> MovingObjects:
     None are found in fewer than three scans, without returns, or where nothing moves.
     """
     nothing = MovingObjects((), np.full(len(returns.point_m), -1, np.int32))
-    if returns.scan_count < _LEAST_SCANS or len(returns.point_m) == 0:
+    if returns.scan_count < LEAST_SCANS or len(returns.point_m) == 0:
         return nothing
     range_m = np.linalg.norm(returns.recorded_m, axis=1)
     above_ground = _classify(returns, range_m)
@@ -330,7 +322,7 @@ def find_moving_objects(returns: TimedReturns) -> MovingObjects:
             solve_path(paths[number], returns)
 
     in_parts(follow, len(paths))
-    return _whole_objects(paths, returns, above_ground, density) if paths else nothing
+    return whole_objects(paths, returns, above_ground, density) if paths else nothing
 
 
 def _classify(returns: TimedReturns, range_m: np.ndarray) -> AboveGround:
@@ -343,58 +335,3 @@ def _classify(returns: TimedReturns, range_m: np.ndarray) -> AboveGround:
     height = build_ground(returns.point_m[within]).above(returns.point_m)
     index = np.flatnonzero(within & (height > ABOVE_GROUND_M) & (height < _HIGHEST_M))
     return AboveGround(index, classify_returns(returns, index), np.searchsorted(index, returns.offsets))
-
-
-def _whole_objects(
-    paths: list[Path], returns: TimedReturns, above_ground: AboveGround, density: float
-) -> MovingObjects:
-    """Give each object, largest first, its extent and all loose returns near its accumulated shape."""
-    object_id = np.full(len(returns.point_m), -1, np.int32)
-    objects: list[MovingObject] = []
-    for path in sorted(paths, key=lambda p: (-sum(map(len, p.members)), p.scan[0])):
-        moving = path.as_object(returns.frame_s)
-        shape_o = _thinned(path.shape(returns))
-        taken = _take(moving, shape_o, returns, above_ground, object_id)
-        local = moving.to_object(returns.point_m[taken].astype(np.float64), returns.time_s[taken])
-        if not _is_object(taken, local, returns, _LEAST_RETURNS * density):
-            continue
-        object_id[taken] = len(objects)
-        objects.append(replace(moving, low_m=local.min(axis=0), high_m=local.max(axis=0)))
-    return MovingObjects(tuple(objects), object_id, density)
-
-
-def _is_object(taken: np.ndarray, local_m: np.ndarray, returns: TimedReturns, fewest: float) -> bool:
-    """Whether returns (k,), at (k, 3) in the object's frame, form one object that its path explains."""
-    if len(taken) < fewest or len(np.unique(returns.scan_of(taken))) < _LEAST_SCANS:
-        return False
-    if np.linalg.norm(returns.recorded_m[taken], axis=1).max() < _OWN_VEHICLE_M:
-        return False
-    return len(_thinned(local_m)) < _MOST_OF_WORLD_SHAPE * len(_thinned(returns.point_m[taken]))
-
-
-def _take(
-    moving: MovingObject,
-    shape_o: np.ndarray,
-    returns: TimedReturns,
-    above_ground: AboveGround,
-    object_id: np.ndarray,
-) -> np.ndarray:
-    """Indices of all free loose returns within 0.3 m of the shape (k, 3), compared in the object's frame."""
-    tree = cKDTree(shape_o)
-    reach = np.abs(shape_o).max() + _GROW_M + 1.0
-    taken = []
-    for scan, pose in zip(moving.scan, moving.pose, strict=True):
-        near = above_ground.loose_near(returns, int(scan), pose[:3] - reach, pose[:3] + reach)
-        near = near[object_id[near] < 0]
-        local = moving.to_object(returns.point_m[near].astype(np.float64), returns.time_s[near])
-        distance, _ = tree.query(local, distance_upper_bound=_GROW_M)
-        taken.append(near[np.isfinite(distance)])
-    return np.concatenate(taken)
-
-
-def _thinned(point_o: np.ndarray) -> np.ndarray:
-    """Means of the points (k, 3) in each voxel of 0.15 m."""
-    _, voxel = np.unique(np.floor(point_o / _MODEL_VOXEL_M).astype(np.int64), axis=0, return_inverse=True)
-    voxel = voxel.ravel()
-    count = np.bincount(voxel)
-    return np.stack([np.bincount(voxel, weights=point_o[:, a]) / count for a in range(3)], axis=1)
