@@ -10,6 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from nvsf_core.evidence.moving.merged_paths import merge_paths
 from nvsf_core.evidence.moving.object_evidence import MovingObjects
 from nvsf_core.evidence.moving.path_fitting import LONGEST_FRAME_S, Path, carry_on, solve_path
 from nvsf_core.evidence.moving.path_gaps import fill_gaps
@@ -322,7 +323,8 @@ def find_moving_objects(returns: TimedReturns) -> MovingObjects:
             solve_path(paths[number], returns)
 
     in_parts(follow, len(paths))
-    return whole_objects(paths, returns, above_ground, density) if paths else nothing
+    merged = merge_paths(paths, returns)
+    return whole_objects(merged, returns, above_ground, density) if merged else nothing
 
 
 def _classify(returns: TimedReturns, range_m: np.ndarray) -> AboveGround:
