@@ -3,16 +3,20 @@
 Some 140 returns a scan, nearer than 2.5 m, lie on the recording car itself. They are not part of the scene:
 they are learned once per drive and added to simulated scans of the recording sensor.
 
-Two facts tell them from the scene. In small cubes of the sensor's frame they are in most scans; cubes and not
-rays, because at the car's edges a ray hits it in some scans and misses it in others. And no ray of any scan
+Three facts tell them from the scene. In small cubes of the sensor's frame they are in most scans; cubes and
+not rays, because at the car's edges a ray hits it in some scans and misses it in others. No ray of any scan
 ever met their places in the world from afar: a wall that runs beside the road is at the same place in the
-sensor's frame, too, but was seen before the car reached it, or after.
+sensor's frame, too, but was seen before the car reached it, or after. And they end within some metres: a
+lorry that keeps beside the car may pass for a part of it by the other two, but its side reaches farther.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from nvsf_core.sensors.tables import LaserTable
 
@@ -26,6 +30,8 @@ _AFAR_M = 3.0
 """Farther returns show the world: between the two lies the noise of a range."""
 _WORLD_SHARE = 0.5
 """A cube is the world's if more than this share of its returns lies where returns from afar lie, too."""
+_LONG_M = 5.0
+"""What reaches so far from the sensor is no car's."""
 _MOST_STEP_M, _STANDING_M = 1.0, 0.01
 """A scan counts by the path that it stands for, within these limits: waiting at a light proves little, but in
 a drive that only stands all scans count alike."""
@@ -91,6 +97,8 @@ def learn_own_vehicle(
     of_world = np.bincount(cube, _seen_from_afar(scans, world_m), count)
     is_worlds = of_world > _WORLD_SHARE * np.bincount(cube, minlength=count)
     place = cubes[(_share_of_path(cube, of_scan, weight, count) >= _MIN_SHARE) & ~is_worlds]
+    if len(place) > 0:
+        place = place[~_is_of_long(place, scans, weight)]
 
     own = np.flatnonzero(_in_or_beside(_cube(points_m), place))
     laser = _gathered([scan.laser[one] for scan, one in zip(scans, near, strict=True)])
@@ -134,6 +142,30 @@ def _seen_from_afar(scans: Sequence[PlacedScan], world_m: np.ndarray) -> np.ndar
         is_asked &= _distance(scan.points_m) > _AFAR_M
         afar.append(np.unique(_packed(_cube(scan.world_m[is_asked]))))
     return _packed_in_or_beside(_cube(world_m), np.unique(np.concatenate(afar)))
+
+
+def _is_of_long(place: np.ndarray, scans: Sequence[PlacedScan], weight: np.ndarray) -> np.ndarray:
+    """Whether (k,) bool cubes (k, 3) are of a surface that reaches 5 m from the sensor at the same height.
+
+    At the same height, because a car's wheels stand on the ground, which reaches farther.
+    """
+    points = [scan.points_m[_distance(scan.points_m) < _LONG_M + _VOXEL_M] for scan in scans]
+    of_scan, cube = (
+        np.repeat(np.arange(len(scans)), [len(one) for one in points]),
+        _cube(_gathered(points, 3)),
+    )
+    is_level = (cube[:, 2] >= place[:, 2].min()) & (cube[:, 2] <= place[:, 2].max())
+    of_scan, cube = of_scan[is_level], cube[is_level]
+    packed, first, each = np.unique(_packed(cube), return_index=True, return_inverse=True)
+    is_kept = _share_of_path(each.reshape(-1), of_scan, weight, len(packed)) >= _MIN_SHARE
+    packed, surface = packed[is_kept], cube[first[is_kept]]
+    # Cubes of other layers are far apart.
+    pairs = cKDTree(surface * (1, 1, 8)).query_pairs(1.5, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(surface),) * 2)
+    group = connected_components(links, directed=False)[1]
+    is_far = np.linalg.norm((surface + 0.5) * _VOXEL_M, axis=1) >= _LONG_M
+    long = np.unique(group[is_far])
+    return np.isin(group[np.searchsorted(packed, _packed(place))], long)
 
 
 def _cube(points_m: np.ndarray) -> np.ndarray:

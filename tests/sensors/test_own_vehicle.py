@@ -84,6 +84,19 @@ def test_a_wall_beside_the_road_is_not_the_own_vehicle():
         assert not is_own[BONNET_RETURNS:].any()
 
 
+def test_a_lorry_that_overtakes_slowly_is_not_the_own_vehicle():
+    # The places beside the sensor in the first scans are met from afar by none.
+    along, height = np.meshgrid(np.arange(-2.0, 10.0, 0.1), np.arange(-0.5, 0.5, 0.1), indexing="ij")
+    side = np.stack([along.ravel(), np.full(along.size, 2.1), height.ravel()], axis=1)
+    step_m = np.array([0.09, 0.0, 0.0])
+    scans = [_with(_scan(seed, at_m=0.8 * seed), side + seed * step_m) for seed in range(6)]
+    own = learn_own_vehicle(HDL_64E, scans, 1000)
+    for scan in scans:
+        is_own = own.is_own(scan.points_m)
+        assert is_own[:BONNET_RETURNS].all()
+        assert not is_own[BONNET_RETURNS:].any()
+
+
 def test_a_long_wait_beside_a_lorry_does_not_make_it_the_own_vehicle():
     lorry = np.stack([np.linspace(-1, 1, 50), np.full(50, -2.2), np.zeros(50)], axis=1)
     waiting = [_with(_scan(seed, at_m=0.0), lorry) for seed in range(20)]
