@@ -3,7 +3,6 @@
 import importlib.util
 import os
 import shlex
-import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
@@ -62,7 +61,9 @@ def main() -> None:
 @main.command()
 def demo() -> None:
     """Write the embedded drive, train it with the recipe short, and measure what it shows."""
-    sys.exit(_run_job(["demo"], "short", 0))
+    from pipelines.job_process import run_job
+
+    sys.exit(run_job(["demo"], "short", 0))
 
 
 @main.command()
@@ -74,7 +75,9 @@ def train(scenes: Sequence[str], recipe: str, seed: int) -> None:
 
     By default those that the variable SCENES names, separated by blanks, else all that have data.
     """
-    sys.exit(_run_job(scenes, recipe, seed))
+    from pipelines.job_process import run_job
+
+    sys.exit(run_job(scenes, recipe, seed))
 
 
 @main.command()
@@ -366,33 +369,9 @@ def weights(backbone: Path | None, out: Path | None) -> None:
 @main.command()
 def doctor() -> None:
     """Say what of this machine is missing, and what that costs."""
-    from pipelines.doctor import examine
+    from pipelines.doctor.findings import examine
 
     findings = examine(os.environ)
     for finding in findings:
         click.echo(f"{'ok     ' if finding.is_fine else 'MISSING'} {finding.subject}: {finding.words}")
     sys.exit(1 if any(finding.is_needed and not finding.is_fine for finding in findings) else 0)
-
-
-def _run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
-    """Run Dagster's job over the scenes in its own process, as `make train` does; returns its exit code."""
-    from nvsf_core.drives.catalogue import home_from_environment
-    from nvsf_core.stores.scene_store import require_home
-    from pipelines.instance import DAGSTER, make_instance
-
-    home = home_from_environment(os.environ)
-    chosen = {"SCENES": " ".join(scenes), "RECIPE": recipe, "SEED": str(seed), "NVSF_HOME": str(home)}
-    require_home(home)  # first: Dagster, whose history lies there, would say less of what is wrong
-    place = Path(os.environ.get("DAGSTER_HOME") or home / "dagster").absolute()
-    environment = os.environ | chosen | {
-        "DAGSTER_HOME": str(place), "DAGSTER_MODULE_NAME": "pipelines.definitions",
-        "PYTHONWARNINGS": "ignore:Function `job_execute_command`",
-    }  # fmt: skip
-    if list(scenes) == ["demo"]:
-        # One process: to start one for each step takes longer than the steps of so short a drive.
-        environment.setdefault("NVSF_EXECUTOR", "in_process")
-    make_instance(place)
-    # Else Dagster would look for the package in the folder it is called in, which may have one of that name.
-    ours = str(Path(__file__).resolve().parents[1])
-    command = [*DAGSTER, "job", "execute", "-d", ours, "-j", "train_all_scenes"]
-    return subprocess.run(command, env=environment).returncode

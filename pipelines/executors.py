@@ -8,6 +8,7 @@ import dagster as dg
 
 from nvsf_core.errors import MissingLibraryError, RecipeError
 from nvsf_core.thread_count import thread_count
+from pipelines.one_process import one_process
 from pipelines.step_processes import step_processes
 
 _THREADS_A_STEP = 4
@@ -28,7 +29,7 @@ def executor_from_environment() -> dg.ExecutorDefinition:
     """
     name = os.environ.get("NVSF_EXECUTOR") or "multiprocess"
     if name == "in_process":
-        return dg.in_process_executor
+        return one_process
     if name == "multiprocess":
         return step_processes(_local_steps())
     # The other two are extras (`pip install -e .[ray]`, `.[k8s]`), imported only if chosen.

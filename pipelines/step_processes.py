@@ -19,6 +19,7 @@ from dagster._core.executor.multiprocess import MultiprocessExecutor
 
 from nvsf_core.errors import StageKilledError
 from nvsf_core.stages.flow import WORK_MODULES
+from pipelines.one_process import INTERRUPTED
 
 _PRELOADED = "pipelines.definitions"
 _MOST_STARTS = 4
@@ -76,6 +77,9 @@ class StepProcesses(MultiprocessExecutor):
                     if started.pop(key).starts > 1:
                         plan_context.log.warning(f"{_SERVER_DIED} the step {key}; another one started it")
                 yield event
+        except dg.DagsterExecutionInterruptedError:
+            plan_context.log.warning(INTERRUPTED)
+            raise
         finally:
             del context.Process
 

@@ -10,8 +10,8 @@ from click.testing import CliRunner
 
 from nvsf_core.demo.drive import DemoSize, write_demo
 from pipelines.cli import main
-from pipelines.doctor import examine
-from pipelines.doctor_instance import examine_instance
+from pipelines.doctor.findings import examine
+from pipelines.doctor.instance import examine_instance
 from pipelines.reaper import host_tags
 
 

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from nvsf_core.errors import RecipeError
-from pipelines.doctor import examine
+from pipelines.doctor.findings import examine
 from pipelines.switch import AUTOMATE_VARIABLE, is_on
 
 

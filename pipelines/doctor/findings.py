@@ -15,8 +15,8 @@ from nvsf_core.errors import NvsfError
 from nvsf_core.metrics.lpips_file import WEIGHTS_NAME, WEIGHTS_VARIABLE, find_weights
 from nvsf_core.stores.removal import KEEP_VARIABLE, number_kept
 from nvsf_core.stores.scene_store import require_home
-from pipelines.doctor_instance import examine_instance
-from pipelines.doctor_locks import examine_locks
+from pipelines.doctor.instance import examine_instance
+from pipelines.doctor.locks import examine_locks
 from pipelines.switch import AUTOMATE_VARIABLE, is_on
 
 _FREE_GB = 5.0

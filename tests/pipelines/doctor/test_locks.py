@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.doctor_locks import examine_locks, mount_of
+from pipelines.doctor.locks import examine_locks, mount_of
 
 TABLE = """/dev/vda / ext4 rw,relatime 0 0
 server:/home /mnt/shared\\040home nfs4 rw,vers=4.2,local_lock=none 0 0

@@ -1,0 +1,1 @@
+"""What `nvsf doctor` examines."""
