@@ -287,52 +287,12 @@ def verify(names: Sequence[str], mend: bool) -> None:
 
     Drives and outputs are compared with what each output was made from, all versions of data sets with their
     manifests. What is remembered of unchanged files is not believed here. Nothing is made but by --mend:
-    other damaged outputs are made anew by the next run. Ends with 1 if something is damaged.
+    other damaged outputs are made anew by the next run. Ends with 1 if something is damaged, or if nothing of
+    one of SCENES could be verified.
     """
-    from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_environment
-    from nvsf_core.recipe import preset
-    from nvsf_core.stages import STAGES, RunConfig, SceneRun, find_scene
-    from nvsf_core.stages.runner.trained import trained_fields
-    from nvsf_core.stages.runner.verify import Verdict, verify_scene
-    from nvsf_core.stores.scene_store import SceneStore
+    from pipelines.verify import verify_scenes
 
-    home = home_from_environment(os.environ)
-    entries = [find_scene(name) for name in names] or catalogue_from_environment(os.environ)
-    damaged = False
-    for entry in entries:
-        for recipe, seed in trained_fields(home / entry.name):
-            # What a view asks for may not be had here any more: what is made can be read all the same.
-            config = RunConfig(recipe=preset(recipe), seed=seed)
-            run = SceneRun(scene=entry, store=SceneStore(home.resolve(), entry.name), config=config)
-            for found in verify_scene(run, STAGES):
-                damaged |= found.verdict is Verdict.DAMAGED
-                words = f" ({found.words})" if found.words else ""
-                click.echo(f"{entry.name} {recipe} seed {seed}, {found.stage}: {found.verdict.value}{words}")
-        damaged |= _has_damaged_versions(entry, home, mend)
-    sys.exit(1 if damaged else 0)
-
-
-def _has_damaged_versions(entry: SceneEntry, home: Path, mend: bool) -> bool:
-    """Say of each version of a scene's data sets whether it is whole; whether one is not, and stays so."""
-    from nvsf_core.stages.runner.run import say_on_stderr
-    from nvsf_core.stages.versions import VERSIONS, damage_at_rest, make_anew, versions_of
-    from nvsf_core.stores.removal import removal_of, removals
-    from nvsf_core.stores.scene_store import SceneStore
-
-    store, damaged = SceneStore(home, entry.name), False
-    for version in versions_of(store):
-        damage = damage_at_rest(store, version, say_on_stderr)
-        words = "whole"
-        if damage is not None and removal_of(store, version.location) is not None:
-            continue  # removed while it was read; told below
-        if damage is not None:
-            is_mended = mend and make_anew(entry, home, version, say_on_stderr)
-            words = "made anew" if is_mended else f"DAMAGED ({damage})"
-            damaged |= not is_mended
-        click.echo(f"{entry.name}, {version.location}: {words}")
-    for one in removals(store, f"{VERSIONS}/*/*"):
-        click.echo(f"{entry.name}, {one.place}: {one.words}")
-    return damaged
+    sys.exit(0 if verify_scenes(names, mend, click.echo) else 1)
 
 
 @main.command()
