@@ -84,12 +84,16 @@ class Workspace(dg.ConfigurableResource):
         """Check everything of a run that does not depend on the scene.
 
         Raises:
-            NvsfError: The recipe, a seed, the label or the home is not valid; the error that `plan` raises.
+            NvsfError: The recipe, a seed, the label, home or weights of LPIPS are not valid; the error
+                that `plan` raises, which does not read the weights.
         """
+        from nvsf_core.metrics.lpips import load_lpips  # loads torch, which nothing else here needs
+
         require_home(self.home())
         number_kept(os.environ)
         choices = self._choices()
         RunConfig(**{**choices, "recipe": preset(choices["recipe"] or DEFAULT_RECIPE)})
+        load_lpips()  # the stage `scene_metrics` would fail, after training
 
     def _choices(self) -> dict[str, Any]:
         return {

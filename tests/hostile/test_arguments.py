@@ -72,6 +72,7 @@ def test_a_run_that_cannot_be_is_refused_before_it_begins(
         ("NVSF_HOME", "/dev/null", "NVSF_HOME.*no folder"),
         ("NVSF_HOME", "/proc/nothing/here", "NVSF_HOME"),
         ("NVSF_HOME", "/" + "a" * 5000, "NVSF_HOME"),
+        ("NVSF_LPIPS_WEIGHTS", "/nowhere/weights.safetensors", "NVSF_LPIPS_WEIGHTS=.*no such file"),
     ],
 )
 def test_the_environment_is_refused_when_the_run_is_read(
@@ -158,7 +159,7 @@ def test_an_extra_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("done", [harm.cut, harm.empty, harm.text("no weights")])
-def test_damaged_weights_of_lpips_name_their_file(
+def test_damaged_weights_of_lpips_name_their_file_before_a_run_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, done: harm.Harm
 ) -> None:
     path = tmp_path / "weights.safetensors"
@@ -168,6 +169,8 @@ def test_damaged_weights_of_lpips_name_their_file(
         harmed(path)
         with pytest.raises(StoreError, match=rf"LPIPS weights .*{path.name}.*unset"):
             lpips.load_lpips()
+        with pytest.raises(StoreError, match=f"LPIPS weights .*{path.name}"):
+            Workspace().require_possible()
 
 
 def test_seeds_of_numpy_are_refused_as_what_they_are(street: SceneEntry, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from nvsf_core.drives.drive import has_data
 from nvsf_core.drives.view_checks import require_views
 from nvsf_core.drives.view_truth import require_truth
 from nvsf_core.errors import DataError, NvsfError, StoreError
+from nvsf_core.metrics.lpips_file import find_weights
 from nvsf_core.recipe import Recipe, preset
 from nvsf_core.stages.flow import STAGES
 from nvsf_core.stages.runner.device_lock import device_lock
@@ -68,13 +69,14 @@ def plan_run(
         RecipeError: There is no preset of that name, or a seed is not valid.
         DataError: The label cannot be part of a folder's name, a view asks for what the drive cannot give,
             its true images are absent or of another size, or NVSF_KEEP_VERSIONS is no number.
-        StoreError: The home cannot be written to.
+        StoreError: The home cannot be written to, or NVSF_LPIPS_WEIGHTS names no file.
     """
     if not isinstance(scene, SceneEntry):
         raise DataError(f"expected a SceneEntry, found {scene!r:.60}; `find_scene` gives one by its name")
     require_views(scene)
     require_truth(scene)
     number_kept(os.environ)
+    find_weights()
     home = require_home(home)
     _require_apart(scene, home)
     if not isinstance(recipe, Recipe):
