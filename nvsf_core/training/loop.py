@@ -16,6 +16,8 @@ from nvsf_core.training.weight_average import WeightAverage
 
 _SAY_EVERY_S = 4.0
 _RECORD_EVERY = 10
+_FEWEST_RECORDED = 10
+"""A training of fewer records has every step recorded: those of single batches say nothing of its trend."""
 _AVERAGE_EVERY = 10
 """Steps between two weights that are averaged: those of neighbouring steps are nearly the same."""
 _ADAM_KEYS = ("step", "exp_avg", "exp_avg_sq")
@@ -170,6 +172,7 @@ def train(
     saved = said = time.perf_counter()
     first = state.step
     started = time.perf_counter()
+    record_every = _RECORD_EVERY if spec.steps >= _FEWEST_RECORDED * _RECORD_EVERY else 1
     while state.step < spec.steps:
         _set_rates(state.optimiser, spec, state.step)
         state.optimiser.zero_grad()
@@ -194,7 +197,7 @@ def train(
         now = time.perf_counter()
         state.seconds = now - began
         rays_per_s = (state.step - first) * spec.rays / (now - started)
-        if state.step % _RECORD_EVERY == 0 or state.step == spec.steps:
+        if state.step % record_every == 0 or state.step == spec.steps:
             point = {"step": state.step, "seconds": state.seconds, "loss": loss, "rays_per_s": rays_per_s}
             state.curve.append(point | terms)
         if now - said >= _SAY_EVERY_S:
