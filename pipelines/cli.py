@@ -31,6 +31,19 @@ _seed_option = click.option(
 )
 
 
+_own_recipe_option = click.option(
+    "--recipe",
+    default="",
+    envvar="RECIPE",
+    show_envvar=True,
+    help="Of training; default: of the newest field.",
+)
+_own_seed_option = click.option(
+    "--seed", type=click.IntRange(min=0), envvar="SEED", show_envvar=True,
+    help="Of training; default: of the newest field.",
+)  # fmt: skip
+
+
 class _Ours(click.Group):
     """A command group that shows this project's errors in one line, without a stack trace."""
 
@@ -85,12 +98,12 @@ def train(scenes: Sequence[str], recipe: str, seed: int) -> None:
 @click.argument("keys", nargs=-1)
 @click.option("--check", is_flag=True, help="Only say whether the views can be made, and what they are.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the one view that KEYS ask for.")
-@_recipe_option
-@_seed_option
+@_own_recipe_option
+@_own_seed_option
 def view(
-    scene: str | None, keys: Sequence[str], check: bool, out: Path | None, recipe: str, seed: int
+    scene: str | None, keys: Sequence[str], check: bool, out: Path | None, recipe: str, seed: int | None
 ) -> None:
-    """Render the views that the catalogue asks of SCENE, or the one that KEYS ask for.
+    """Render the views that the catalogue asks of SCENE (default: trained last), or the one KEYS ask for.
 
     KEYS are lines of a [[view]], as 'shift_m = [0, 1, 0]' 'sensor = "VLP-16"' (docs/catalogue.md); it
     becomes a data set. What is up to date is not made again: add a [[view]] to the catalogue, and only that
@@ -98,12 +111,12 @@ def view(
 
     \f
     Args:
-        scene: Name in the catalogue; none = all, for `check`.
+        scene: Name in the catalogue; none = all, for `check`, else the one that was trained last.
         keys: Lines of TOML.
         check: Whether only to say what can be made.
         out: Folder of the data set.
-        recipe: A preset's name.
-        seed: Of training.
+        recipe: A preset's name; empty = that of the scene's newest field, if it has one.
+        seed: Of training; None = that of the scene's newest field, else 0.
     """  # noqa: D301  click ends its help at a real form feed, which a raw docstring has not
     from nvsf_core.drives.view_checks import described
     from nvsf_core.stages import find_scene, run_scene
@@ -114,18 +127,34 @@ def view(
         for line in _checked(scene, view_of(asked) if asked else None, described):
             click.echo(line)
         return
-    if scene is None:
-        raise click.UsageError("name a SCENE; `nvsf scenes` lists them")
+    scene, trained = _chosen(scene, recipe or None, seed)
     if asked:
-        click.echo(render_view(scene, asked, out=out, recipe=recipe or None, seed=seed))
+        click.echo(render_view(scene, asked, out=out, **trained))
         return
     if out is not None:
         raise click.UsageError("--out is for the view that KEYS ask for; the catalogue's lie under NVSF_HOME")
     entry = find_scene(scene)
-    outcomes = {one.stage: one for one in run_scene(entry, recipe=recipe or None, seed=seed)}
+    outcomes = {one.stage: one for one in run_scene(entry, **trained)}
     for name in ("test", *(one.name for one in entry.views)):
         folder = outcomes["novel_views"].path / name
         click.echo(f"{name}: {folder}" if folder.is_dir() else f"{name}: not rendered")
+
+
+def _chosen(scene: str | None, recipe: str | None, seed: int | None) -> tuple[str, dict[str, Any]]:
+    """The scene, and recipe and seed of its training: of the newest field where nothing else is asked for."""
+    from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_environment
+    from nvsf_core.stages.runner.trained import newest_field, newest_scene
+
+    home = home_from_environment(os.environ)
+    name = scene or newest_scene(home, [entry.name for entry in catalogue_from_environment(os.environ)])
+    if name is None:
+        raise click.UsageError("nothing is trained yet: name a SCENE; `nvsf scenes` lists them")
+    newest = newest_field(home / name, recipe, seed)
+    if newest is None:
+        return name, {"recipe": recipe, "seed": seed or 0}
+    if (scene, recipe, seed) != (name, *newest):
+        click.echo(f"of {name}, recipe {newest[0]}, seed {newest[1]}, its newest field", err=True)
+    return name, {"recipe": newest[0], "seed": newest[1]}
 
 
 def _keys(lines: Sequence[str]) -> dict[str, Any]:

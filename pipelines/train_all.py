@@ -9,7 +9,6 @@ import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import dagster as dg
@@ -24,20 +23,17 @@ from assets.verdicts import reason_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.drive import has_data
 from nvsf_core.errors import NvsfError, StageKilledError
-from nvsf_core.metrics.headline import headline
 from nvsf_core.stages import STAGES, Stage, find_scene
 from nvsf_core.stages.flow import SCENE_METRICS
 from nvsf_core.stages.runner.failures import remember_failure
 from nvsf_core.stages.runner.run import write_demo_where_absent
 from nvsf_core.stores.scene_store import SceneStore
+from pipelines.closing_words import SceneState, closing_words, next_ui, next_view
 from pipelines.failures import CALLED_TAG, call_command
 from pipelines.passed_values import PassedValues, remove_old_values
 from pipelines.reaper import host_tags
 from pipelines.resources import RESOURCES
 from pipelines.terminal import TERSE_LOGGING, terse_logger
-
-SceneState = dict[str, Any]
-"""Passed from stage to stage: `scene`, `failed` ("" or why), `stages` (name, seconds, skipped), `exports`."""
 
 # A killed process (out of memory) gets a second try, which resumes from the last checkpoint; the third only
 # records that the scene failed: a failed step would prevent the report of all other scenes.
@@ -179,56 +175,19 @@ def report_all(
     path = make_benchmark_report(workspace.home(), named, failures, absent, CURVES)
     metadata = {"path": dg.MetadataValue.path(str(path))}
     context.log_event(dg.AssetMaterialization(asset_key=key_of(REPORT), metadata=metadata))
-    sys.stdout.write(_closing_words(rows, states, failures, absent, path) + _in_the_ui(context))
+    words = closing_words(rows, states, failures, absent, path)
+    shown = [scene for scene in measured if scene not in failures]
+    words += next_view(workspace.plan(shown[0])) if shown else []
+    words += next_ui(context.run_id) if _is_of_terminal(context) else []
+    sys.stdout.write("\n".join([*words, ""]))
     sys.stdout.flush()
     return [f"{scene}: {reason}" for scene, reason in failures.items()]
-
-
-def _closing_words(
-    rows: list[dict[str, Any]],
-    states: list[SceneState],
-    failures: dict[str, str],
-    absent: list[str],
-    report: Path,
-) -> str:
-    """What the run gained, where its files lie, and what to do next."""
-    lines = [""]
-    for state in states:
-        scene = state["scene"]
-        result = headline([row for row in rows if row["scene"] == scene])
-        seconds = sum(one["seconds"] for one in state["stages"] if not one["skipped"])
-        done = "up to date" if not seconds else f"{seconds:.0f} s"
-        lines += [result or f"{scene}: nothing was measured", f"  {len(state['stages'])} stages, {done}"]
-        lines += [f"  scans  {_short(Path(folder))}" for folder in state["exports"]]
-    lines += [f"FAILED  {scene}: {reason}" for scene, reason in failures.items()]
-    if absent:
-        lines.append(f"no data: {', '.join(absent)}")
-    lines += [
-        f"report  {_short(report)}",
-        "next: open the report in a browser; look at the scans; ask for another pose, time or sensor,",
-        "      as `nvsf view demo 'shift_m = [0, 1, 0]'`; in a checkout `make ui` shows the lineage.",
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _in_the_ui(context: dg.OpExecutionContext) -> str:
-    """Where the UI shows a terminal's run."""
-    if not _is_of_terminal(context):
-        return ""
-    return f"in the UI: /runs/{context.run_id}, under its job and on the timeline\n"
 
 
 def _is_of_terminal(context: dg.OpExecutionContext) -> bool:
     """Whether a terminal started this run, and not the daemon."""
     run = None if context.instance.is_ephemeral else context.instance.get_run_by_id(context.run_id)
     return run is not None and TERMINAL_TAG in run.tags
-
-
-def _short(path: Path) -> str:
-    """The path as seen from here, where that is shorter."""
-    here = Path.cwd()
-    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
 
 
 def _metrics(workspace: Workspace, scene: str) -> list[dict[str, Any]]:

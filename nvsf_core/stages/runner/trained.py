@@ -1,5 +1,6 @@
 """Which fields of a scene are published."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from nvsf_core.errors import RecipeError
@@ -16,9 +17,32 @@ def trained_fields(scene_root: Path) -> list[tuple[str, int]]:
     return [(folder.parent.name, int(folder.name)) for folder in sound]
 
 
-def newest_field(scene_root: Path) -> tuple[str, int] | None:
-    """Recipe and seed of the scene's latest published field; None if there is no readable one."""
-    return next(reversed(trained_fields(scene_root)), None)
+def newest_field(
+    scene_root: Path, recipe: str | None = None, seed: int | None = None
+) -> tuple[str, int] | None:
+    """Recipe and seed of the scene's latest published field; None if there is no readable one.
+
+    Args:
+        scene_root: The scene's folder.
+        recipe: Name of a recipe; None = any.
+        seed: Of training; None = any.
+    """
+    fields = [
+        one for one in trained_fields(scene_root) if recipe in (None, one[0]) and seed in (None, one[1])
+    ]
+    return fields[-1] if fields else None
+
+
+def newest_scene(home: Path, scenes: Iterable[str]) -> str | None:
+    """Name of the scene whose field was published last; None if none has one.
+
+    Args:
+        home: Folder of all outputs.
+        scenes: Names of scenes.
+    """
+    newest = {name: newest_field(home / name) for name in scenes}
+    made = {name: made_s(home / name / "field" / one[0] / str(one[1])) for name, one in newest.items() if one}
+    return max(made, key=lambda name: made[name], default=None)
 
 
 def _is_known(folder: Path) -> bool:

@@ -1,0 +1,68 @@
+"""What a run says to type is taken by a new shell in any folder, for the training that was asked for."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from nvsf_core.stages import find_scene, plan_run
+from nvsf_core.stages.runner.record import RECORD_NAME
+from nvsf_core.stores.documents import write_document
+from pipelines.cli import _chosen, main
+from pipelines.closing_words import next_ui, next_view
+
+RECORD = {"fingerprint": "f", "metadata": {}, "previews": {}, "checks": [], "seconds": 1.0}
+
+
+@pytest.fixture
+def home(tiny_catalogue: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("NVSF_HOME", "my home")
+    monkeypatch.setenv("NVSF_SCENES", str(tiny_catalogue))
+    return tmp_path / "my home"
+
+
+def _train(home: Path, scene: str, recipe: str, seed: int, made_s: float) -> None:
+    folder = home / scene / "field" / recipe / str(seed)
+    folder.mkdir(parents=True)
+    write_document(folder / RECORD_NAME, RECORD | {"made_s": made_s})
+
+
+def test_a_view_is_of_the_newest_field_unless_another_training_is_asked_for(home: Path) -> None:
+    assert _chosen("tiny", None, None) == ("tiny", {"recipe": None, "seed": 0})
+    assert "nothing is trained yet" in CliRunner().invoke(main, ["view"]).output
+    for scene, recipe, seed, made_s in (("tiny", "smoke", 3, 1e9), ("absent", "lean", 1, 3e9)):
+        _train(home, scene, recipe, seed, made_s)
+    _train(home, "tiny", "quick", 2, 2e9)
+    assert _chosen(None, None, None) == ("absent", {"recipe": "lean", "seed": 1})
+    assert _chosen("tiny", None, None)[1] == {"recipe": "quick", "seed": 2}
+    assert _chosen("tiny", "smoke", None)[1] == {"recipe": "smoke", "seed": 3}
+    assert _chosen("tiny", "smoke", 0)[1] == {"recipe": "smoke", "seed": 0}
+
+
+def test_the_next_view_names_recipe_and_seed_where_the_newest_field_has_others(home: Path) -> None:
+    _train(home, "tiny", "smoke", 3, 1e9)
+    for seed, ends in ((3, "tiny 'shift_m = [0, 1, 0]'"), (4, "--recipe smoke --seed 4")):
+        words = next_view(plan_run(find_scene("tiny"), home, recipe="smoke", seed=seed))
+        assert words[-1].endswith(ends), words
+
+
+@pytest.mark.cli
+def test_commands_to_go_on_with_run_in_a_new_shell_elsewhere(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def said_by(command: str) -> str:
+        done = subprocess.run(
+            ["env", "-i", "PATH=/usr/bin:/bin", "sh", "-c", command], cwd="/", capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    command = next_view(plan_run(find_scene("tiny"), home, recipe="smoke"))[-1]
+    assert said_by(f"{command} --check").startswith("tiny, view: ")
+    assert "dagster dev -m pipelines.definitions" in next_ui("1")[1]
+    monkeypatch.setenv("NVSF_HOME", "home")  # make takes no blanks
+    monkeypatch.setenv("DAGSTER_HOME", "instance")
+    started = said_by(next(line for line in next_ui("1") if "DAGSTER_HOME" in line) + " -n")
+    assert "dagster dev" in started and f"{tmp_path / 'instance'}" in next_ui("1")[1]
