@@ -5,15 +5,15 @@ import os
 import shlex
 import sys
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from nvsf_core.drives.entries import SceneEntry, ViewEntry
-from nvsf_core.errors import NvsfError
+from nvsf_core.drives.entries import ViewEntry
+from nvsf_core.errors import DataError, NvsfError
 
 # What an argument says wins; else the variable that `make` and Dagster read, too; else the default.
 _recipe_option = click.option(
@@ -118,13 +118,12 @@ def view(
         recipe: A preset's name; empty = that of the scene's newest field, if it has one.
         seed: Of training; None = that of the scene's newest field, else 0.
     """  # noqa: D301  click ends its help at a real form feed, which a raw docstring has not
-    from nvsf_core.drives.view_checks import described
     from nvsf_core.stages import find_scene, run_scene
     from nvsf_core.stages.render_view import render_view, view_of
 
     asked = _keys(keys)
     if check:
-        for line in _checked(scene, view_of(asked) if asked else None, described):
+        for line in _checked(scene, view_of(asked) if asked else None):
             click.echo(line)
         return
     scene, trained = _chosen(scene, recipe or None, seed)
@@ -167,22 +166,29 @@ def _keys(lines: Sequence[str]) -> dict[str, Any]:
         ) from error
 
 
-def _checked(
-    scene: str | None, asked: ViewEntry | None, described: Callable[[SceneEntry], list[str]]
-) -> Iterator[str]:
+def _checked(scene: str | None, asked: ViewEntry | None) -> Iterator[str]:
     """A line for each view of a scene, or of all that have data; a mistake is raised."""
     from nvsf_core.drives.catalogue import catalogue_from_environment
     from nvsf_core.drives.drive import has_data
+    from nvsf_core.drives.view_checks import described
+    from nvsf_core.drives.view_truth import require_truth
     from nvsf_core.stages import find_scene
+    from nvsf_core.stages.runner.run import is_embedded
 
-    entries = (
-        [find_scene(scene)]
-        if scene
-        else [one for one in catalogue_from_environment(os.environ) if has_data(one)]
-    )
-    for entry in entries:
+    entries = [find_scene(scene)] if scene else catalogue_from_environment(os.environ)
+    there = [entry for entry in entries if has_data(entry) or is_embedded(entry)]
+    absent = [entry for entry in entries if entry not in there]
+    for entry in there:
         chosen = entry if asked is None else replace(entry, views=(asked,))
+        require_truth(chosen)
         yield from (f"{entry.name}, {line}" for line in described(chosen))
+    if absent and scene:
+        raise DataError(
+            f"{scene}: not checked, no data at {absent[0].root}; correct the scene's root, or set "
+            "NVSF_KITTI360_ROOT"
+        )
+    if absent:
+        yield f"not checked, no data here: {', '.join(entry.name for entry in absent)}"
 
 
 @main.command(name="import")

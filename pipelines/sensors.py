@@ -19,11 +19,8 @@ from nvsf_core.errors import NvsfError
 from nvsf_core.stores.file_hashes import TimeIsUpError
 from pipelines.jobs import RETRY_TAGS
 from pipelines.reaper import host_tags
-from pipelines.switch import AUTOMATE_VARIABLE, is_on
+from pipelines.switch import AUTOMATE_VARIABLE, QUIET_VARIABLE, is_on, quiet_s
 
-QUIET_VARIABLE = "NVSF_QUIET_S"
-_QUIET_S = 60.0
-"""A drive is whole once nothing of it has changed for so long."""
 _MOST_READING_S = 20.0
 """Of one scene in one tick; Dagster ends a tick after 60 s. The next tick goes on from there."""
 
@@ -54,15 +51,15 @@ def new_drives(context: dg.SensorEvaluationContext) -> dg.SensorResult | dg.Skip
     known = set(context.instance.get_dynamic_partitions(SCENES.name or ""))
     try:
         entries, workspace = catalogue(), Workspace()
-        quiet_s = float(os.environ.get(QUIET_VARIABLE) or _QUIET_S)
-    except (NvsfError, ValueError) as error:
+        waits_s = quiet_s(os.environ)
+    except NvsfError as error:
         return dg.SkipReason(f"the catalogue or {QUIET_VARIABLE} cannot be read: {error}")
     for entry in entries:
         try:
             section = drive_of(entry).section()
             if not section.folders:
                 continue
-            waits = why_wait(section, quiet_s)
+            waits = why_wait(section, waits_s)
             if waits:
                 words.append(f"{entry.name} waits: {waits}")
                 continue

@@ -15,9 +15,11 @@ from nvsf_core.errors import NvsfError
 from nvsf_core.metrics.lpips_file import WEIGHTS_NAME, WEIGHTS_VARIABLE, find_weights
 from nvsf_core.stores.removal import KEEP_VARIABLE, number_kept
 from nvsf_core.stores.scene_store import require_home
+from nvsf_core.thread_count import thread_count
 from pipelines.doctor.instance import examine_instance
 from pipelines.doctor.locks import examine_locks
-from pipelines.switch import AUTOMATE_VARIABLE, is_on
+from pipelines.executors import executor_from_environment
+from pipelines.switch import AUTOMATE_VARIABLE, is_on, quiet_s
 
 _FREE_GB = 5.0
 """Free space that is asked for; one scene takes about half of it."""
@@ -53,6 +55,10 @@ def _machine() -> Finding:
 def _threads() -> Finding:
     from nvsf_core.kernels.threads import kernels_bear_threads
 
+    try:
+        thread_count()
+    except NvsfError as error:
+        return Finding("threads", False, str(error), is_needed=True)
     if kernels_bear_threads():
         return Finding("threads", True, "parts of a step and views run at once")
     words = "no OpenMP: parts of a step and views run one after the other; apt-get install libgomp1"
@@ -129,6 +135,7 @@ def _versions(environ: Mapping[str, str]) -> Finding:
 def _automation(environ: Mapping[str, str]) -> Finding:
     try:
         follows = is_on(AUTOMATE_VARIABLE, environ)
+        quiet_s(environ)
     except NvsfError as error:
         return Finding("automation", False, str(error), is_needed=True)
     words = f"off until it is switched on in the UI ({AUTOMATE_VARIABLE}=1: from the start)"
@@ -160,6 +167,10 @@ def _lpips() -> Finding:
 
 
 def _executors() -> Finding:
+    try:
+        executor_from_environment()
+    except NvsfError as error:
+        return Finding("executors", False, str(error), is_needed=True)
     known = {"ray": "dagster_ray", "k8s": "dagster_k8s"}
     there = [name for name, module in known.items() if importlib.util.find_spec(module) is not None]
     words = f"in_process, multiprocess{''.join(', ' + name for name in there)}"

@@ -51,6 +51,28 @@ def test_views_are_checked_at_once(ask):
         assert wrong.exit_code == 1 and words in wrong.output, wrong.output
 
 
+def test_a_check_names_true_images_and_drives_that_are_absent(ask, tiny_catalogue, tmp_path, monkeypatch):
+    assert "\nnot checked, no data here: absent" in ask("view", "--check").output
+    said = ask("view", "absent", "--check")
+    assert said.exit_code == 1 and "absent: not checked, no data at " in said.output, said.output
+    text = tiny_catalogue.read_text().replace('"drive"', f'"{tiny_catalogue.parent / "drive"}"')
+    (tmp_path / "truth.toml").write_text(f'{text}truth = {{ image_00 = "true" }}\n')
+    monkeypatch.setenv("NVSF_SCENES", str(tmp_path / "truth.toml"))
+    said = ask("view", "tiny", "--check")
+    assert said.exit_code == 1 and "truth of image_00: expected a folder of images at" in said.output
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("NVSF_EXECUTOR", "dask"), ("NVSF_THREADS", "many"), ("NVSF_QUIET_S", "soon"), ("NVSF_QUIET_S", "-1"),
+     ("NVSF_QUIET_S", "nan")],
+)  # fmt: skip
+def test_the_doctor_names_variables_that_no_run_would_take(ask, monkeypatch, name, value):
+    monkeypatch.setenv(name, value)
+    said = ask("doctor")
+    assert said.exit_code == 1 and f": {name}={value!r}: expected " in said.output, said.output
+
+
 def test_a_view_of_the_command_line_may_ask_for_a_sensor_of_the_catalogue(
     ask, tiny_catalogue, tmp_path, monkeypatch
 ):
