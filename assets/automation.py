@@ -9,6 +9,9 @@ import dagster as dg
 KEPT = "nvsf/choices"
 """Tag of a run that takes recipe and seed of the scene's newest field, not those that are asked for now."""
 KEPT_TAGS = {KEPT: "kept"}
+_SAMPLES = "nvsf/samples"
+"""Tag of a run whose data sets are sampled with a seed of its own, if it names none."""
+SAMPLES_TAGS = {_SAMPLES: "own"}
 
 _Condition = dg.AutomationCondition
 
@@ -39,3 +42,12 @@ def follows_all_scenes() -> dg.AutomationCondition:
     return (
         _sources_changed().since(_handled()) & ~_Condition.any_deps_in_progress() & ~_Condition.in_progress()
     ).with_label("follows all scenes")
+
+
+def seed_of_samples(run: dg.DagsterRun) -> int:
+    """The run's own seed of ray drop and range noise, the same where it goes on as another run; 0 without.
+
+    Args:
+        run: The run; by its tags it samples with a seed of its own, or not.
+    """
+    return int((run.root_run_id or run.run_id)[:7], 16) if _SAMPLES in run.tags else 0

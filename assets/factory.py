@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import dagster as dg
 
-from assets.automation import KEPT, follows_its_scene
+from assets.automation import KEPT, follows_its_scene, seed_of_samples
 from assets.drives import ASKED_VIEWS, DRIVE
 from assets.json_lines import log_as_json
 from assets.metadata import outcome_metadata
@@ -68,8 +68,10 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
         say_whose_run_it_is(context.instance, context.run.run_id)
         log_as_json(context)
         try:
-            keep = KEPT in context.run.tags
-            outcome = workspace.run_stage(stage.name, scene, context.log.info, stages=stages, keep=keep)
+            outcome = workspace.run_stage(
+                stage.name, scene, context.log.info, stages=stages, keep=KEPT in context.run.tags,
+                draw_seed=seed_of_samples(context.run),
+            )  # fmt: skip
         except NvsfError as error:
             # Yielded, not logged: what is logged is lost when the step then fails.
             reason = reason_of(error, stage, scene)

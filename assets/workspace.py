@@ -26,8 +26,8 @@ class Workspace(dg.ConfigurableResource):
     """Preset; empty = RECIPE, else the catalogue's choice for the scene, else `lean`."""
     seed: int | None = None
     """Seed of training; None = SEED, else 0."""
-    draw_seed: int = 0
-    """Seed of ray drop and range noise in a data set."""
+    draw_seed: int | None = None
+    """Seed of ray drop and range noise in a data set; None = 0, in `regenerate_synthetic` one of its own."""
     dataset_label: str = "manual"
     """First part of a data set's version."""
 
@@ -35,12 +35,13 @@ class Workspace(dg.ConfigurableResource):
         """NVSF_HOME, else `.nvsf` in the working directory."""
         return home_from_environment(os.environ)
 
-    def plan(self, scene: str, *, keep: bool = False) -> SceneRun:
+    def plan(self, scene: str, *, keep: bool = False, draw_seed: int = 0) -> SceneRun:
         """The run of the scene of that name.
 
         Args:
             scene: Name of the scene.
             keep: Take recipe and seed of the scene's newest field, if it has one and this run names none.
+            draw_seed: Of the run, which counts if it names none.
 
         Raises:
             DataError: The catalogue has no such scene, or the label cannot be part of a folder's name.
@@ -51,10 +52,19 @@ class Workspace(dg.ConfigurableResource):
         kept = newest_field(self.home() / scene) if keep and not self.recipe and self.seed is None else None
         if kept is not None:
             choices |= {"recipe": kept[0], "seed": kept[1]}
+        if self.draw_seed is None:
+            choices |= {"draw_seed": draw_seed}
         return plan_run(entry, self.home(), **choices)
 
     def run_stage(
-        self, name: str, scene: str, progress: Progress, *, stages: Sequence[Stage], keep: bool = False
+        self,
+        name: str,
+        scene: str,
+        progress: Progress,
+        *,
+        stages: Sequence[Stage],
+        keep: bool = False,
+        draw_seed: int = 0,
     ) -> Outcome:
         """Run, or skip, a stage on a scene; why it could not even be planned is remembered, too.
 
@@ -64,13 +74,14 @@ class Workspace(dg.ConfigurableResource):
             progress: Receives progress lines.
             stages: All stages of the flow.
             keep: As of `plan`.
+            draw_seed: As of `plan`.
 
         Raises:
             NvsfError: It cannot be planned, or the stage failed.
         """
         entry = find_scene(scene)
         try:
-            run = self.plan(scene, keep=keep)
+            run = self.plan(scene, keep=keep, draw_seed=draw_seed)
         except NvsfError as error:
             remember_failure(SceneStore(self.home(), entry.name), name, str(error))
             raise
@@ -99,7 +110,7 @@ class Workspace(dg.ConfigurableResource):
         return {
             "recipe": self.recipe or os.environ.get("RECIPE") or None,
             "seed": seed_from_text(os.environ.get("SEED") or "0", "SEED") if self.seed is None else self.seed,
-            "draw_seed": self.draw_seed,
+            "draw_seed": self.draw_seed or 0,
             "dataset_label": self.dataset_label,
         }
 

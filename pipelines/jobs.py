@@ -2,6 +2,7 @@
 
 import dagster as dg
 
+from assets.automation import KEPT_TAGS, SAMPLES_TAGS
 from assets.offers import offer_checks
 from assets.report import REPORT
 from assets.scenes import key_of
@@ -41,9 +42,9 @@ regenerate_synthetic = dg.define_asset_job(
     "regenerate_synthetic",
     selection=_up_to_dataset,
     config=TERSE_LOGGING,
-    tags=host_tags(),
-    description="A new version of a scene's synthetic data sets, drawn with a seed of its own; the scene is "
-    "trained again only where its drive, recipe or code changed.",
+    tags=host_tags() | KEPT_TAGS | SAMPLES_TAGS,
+    description="A new version of a scene's synthetic data sets, sampled with the run's own seed, by the "
+    "scene's newest field; it is trained again only where its drive or the code changed.",
 )
 
 make_report = dg.define_asset_job(

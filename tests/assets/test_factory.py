@@ -1,5 +1,6 @@
 """From stage to asset: nothing is lost, nothing unsound is published."""
 
+import dataclasses
 import json
 
 import dagster as dg
@@ -13,6 +14,7 @@ from assets.workspace import Workspace
 from nvsf_core.stages.runner.failures import remembered_failures
 from nvsf_core.stages.runner.record import content_of
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput
+from pipelines.definitions import defs
 
 PNG = b"\x89PNG\r\n\x1a\n"
 """How a picture's file begins."""
@@ -109,3 +111,26 @@ def test_values_keep_their_type():
     typed = scalar_metadata({"a": True, "b": 2, "c": 0.5, "d": "word"})
     assert [value.value for value in typed.values()] == [True, 2, 0.5, "word"]
     assert isinstance(typed["a"], dg.BoolMetadataValue) and isinstance(typed["b"], dg.IntMetadataValue)
+
+
+def test_a_run_that_samples_anew_has_a_seed_of_its_own_unless_it_names_one(tmp_path, monkeypatch):
+    monkeypatch.setenv("NVSF_HOME", str(tmp_path))
+    tags = defs.resolve_job_def("regenerate_synthetic").tags
+    seeds = []
+
+    def note(task):
+        seeds.append(task.config.draw_seed)
+        return StageOutput()
+
+    def made_by(tags, **config):
+        stage = dataclasses.replace(_stage(note), version=str(len(seeds)))
+        with dg.DagsterInstance.ephemeral() as instance:
+            register(instance, ["demo"])
+            done = dg.materialize(
+                [asset_of(stage, [stage])], partition_key="demo", instance=instance, tags=tags,
+                resources={"workspace": Workspace(**config)},
+            )  # fmt: skip
+        return done.run_id
+
+    runs = [made_by(tags), made_by(tags), made_by(tags, draw_seed=5), made_by(tags, draw_seed=0), made_by({})]
+    assert seeds == [int(runs[0][:7], 16), int(runs[1][:7], 16), 5, 0, 0]
