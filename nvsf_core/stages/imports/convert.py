@@ -109,7 +109,7 @@ def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[s
     left_out += [f"box: {words}" for words in boxes.left_out]
     target.finish(boxes.boxes)
     left_out += target.left_out
-    notes += [*facts.calibration.notes, *facts.notes, *boxes.notes, *target.notes]
+    notes += [*facts.calibration.notes, *facts.notes, *boxes.notes, *target.notes, *_held_out(scene)[1]]
     done = Imported(
         folder=folder, scans=scans, images=images, frames=len(facts.poses), left_out=tuple(left_out),
         notes=tuple(notes),
@@ -175,10 +175,22 @@ def _write_log(folder: Path, scene: SceneEntry, layout: str, target: AbstractTar
         "images": done.images, "left_out": list(done.left_out), "notes": list(done.notes),
     }  # fmt: skip
     (folder / "import.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
-    test = list(range(scene.first_frame + _HOLD_OUT // 2, scene.last_frame, _HOLD_OUT))
+    test, _ = _held_out(scene)
     lines = [
         "[[scene]]", f'name = "{scene.name}"', 'root = "."', *target.catalogue_lines(),
         *([] if scene.is_to_compensate else ["compensate = false"]),
         f"first_frame = {scene.first_frame}", f"last_frame = {scene.last_frame}", f"test_frames = {test}", "",
     ]  # fmt: skip
     (folder / "scenes.toml").write_text("\n".join(lines), encoding="utf-8")
+
+
+def _held_out(scene: SceneEntry) -> tuple[list[int], list[str]]:
+    """Test frames of the suggested catalogue, and a line where they are not the usual ones."""
+    first, last = scene.first_frame, scene.last_frame
+    usual = list(range(first + _HOLD_OUT // 2, last, _HOLD_OUT))
+    if usual:
+        return usual, []
+    if last - first >= 2:
+        middle = (first + last) // 2
+        return [middle], [f"of so few frames one is held out for measuring: {middle} (scenes.toml)"]
+    return [], ["too few frames to hold one out: nothing of this drive can be measured (scenes.toml)"]

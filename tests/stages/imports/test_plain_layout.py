@@ -1,10 +1,12 @@
 """A drive imported as plain files keeps its path between frames."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.drives.detect import whole_drive
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.entries import SceneEntry
@@ -72,3 +74,16 @@ def test_a_path_of_frames_alone_says_of_which_each_pose_is(tmp_path):
     )
     rows = (tmp_path / "out/poses.csv").read_text().splitlines()
     assert rows[0].startswith("frame,time_s,") and len(rows) == 1 + FRAMES - 2
+
+
+@pytest.mark.parametrize(
+    ("last", "test", "words"),
+    [(7, (4,), "one is held out for measuring: 4"), (4, (3,), "one is held out for measuring: 3"),
+     (3, (), "too few frames to hold one out")],
+)  # fmt: skip
+def test_of_a_short_drive_the_middle_frame_is_held_out_and_said(tmp_path, last, test, words):
+    path_s = BEGIN_S + STEP_S * np.arange(FRAMES)
+    scene = replace(_write(tmp_path / "in", path_s, range(FRAMES), None), last_frame=last)
+    done = import_drive(scene, tmp_path / "out", progress=lambda line: None)
+    (entry,) = load_catalogue([tmp_path / "out/scenes.toml"], None)
+    assert entry.test_frames == test and any(words in note for note in done.notes), done.notes
