@@ -33,7 +33,10 @@ EVENTS = [
 
 
 def main() -> int:
-    """Harm, look, write."""
+    """Harm, look, write; of any argument, which none of this is asked by, only say how it is asked."""
+    if sys.argv[1:]:
+        print(__doc__)
+        return 0 if sys.argv[1] in ("-h", "--help") else 2
     is_short = bool(os.environ.get("SHORT"))
     minutes, seed = float(os.environ.get("MINUTES") or 60.0), int(os.environ.get("SEED") or 0)
     only = os.environ.get("ONLY", "").split()

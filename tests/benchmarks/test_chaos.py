@@ -8,3 +8,9 @@ def test_nothing_that_happens_to_a_home_loses_anything(run_process) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     said = {line.split("s  ", 1)[1].split(":")[0] for line in done.stdout.splitlines() if " s  " in line}
     assert {"kill_run", "harm_output", "changing_drive", "two_runs", "file_times", "same_time"} <= said
+
+
+def test_asked_for_help_it_harms_nothing(run_process) -> None:
+    done = run_process(sys.executable, "-m", "benchmarks.chaos", "-h", timeout_s=60.0, MINUTES="1")
+    assert done.returncode == 0 and "takes MINUTES (default 60)" in done.stdout, done.stderr
+    assert run_process(sys.executable, "-m", "benchmarks.chaos", "10", timeout_s=60.0).returncode == 2
