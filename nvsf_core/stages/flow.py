@@ -19,7 +19,7 @@ FRAMES = Stage(
     group="ingest",
     inputs=(),
     description="Every frame of the drive: when and where it was taken, and whether it can be used.",
-    version="7",
+    version="8",
     run=_later("frames", "run"),
     reads_drive=True,
 )
@@ -28,7 +28,7 @@ SWEEPS = Stage(
     group="ingest",
     inputs=("frames",),
     description="Every LiDAR return with its laser, firing and time, as the ray that measured it.",
-    version="12",
+    version="13",
     run=_later("sweeps", "run"),
     reads_drive=True,
     check=_later("checks.registration", "check_registration"),
@@ -70,7 +70,7 @@ FIELD = Stage(
     inputs=("frames", "sweeps", "pano", "undistorted", "evidence"),
     description="The scene's trained model, for each sensor that the drive has, with the recipe and the "
     "training curve.",
-    version="38",
+    version="39",
     run=_later("field", "run"),
     estimate_bytes=_later("sizes", "field_bytes"),
     per_recipe=True,
@@ -91,13 +91,13 @@ NOVEL_VIEWS = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="34",
+    version="35",
     run=_later("novel_views", "run"),
     per_recipe=True,
     reads_views=True,
     estimate_bytes=_later("sizes", "novel_views_bytes"),
     check=_later("novel_views", "check"),
-    check_version="3",
+    check_version="4",
     named_checks=VIEW_CHECKS,
 )
 SCENE_METRICS = Stage(
@@ -109,7 +109,7 @@ SCENE_METRICS = Stage(
         "the trained field and for the baselines that learn nothing; the same of views whose truth is known; "
         "and of every view what can be said without its truth."
     ),
-    version="15",
+    version="16",
     run=_later("scene_metrics", "run"),
     per_recipe=True,
     reads_truth=True,
@@ -123,7 +123,7 @@ DATASET = Stage(
     inputs=("frames", "evidence", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
     " with a manifest of what they came from and a card of how wrong they are.",
-    version="11",
+    version="12",
     run=_later("dataset", "run"),
     per_recipe=True,
     per_draw=True,
