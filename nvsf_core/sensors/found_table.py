@@ -45,6 +45,8 @@ _LEAST_MATCH = 12.0
 """Least height of a match of firing patterns, in standard deviations; KITTI's lasers have 31 and more."""
 _LATTICE_PEAK = 0.6
 """Least height of the spectrum's peak, of 1, for an encoder's lattice."""
+_ONE_BEGIN = 0.95
+"""Least height of the peak of all scans together, of that of each by itself."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -296,7 +298,10 @@ def _line(points_m: np.ndarray) -> _Line:
 
 
 def _lattice(groups: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray, np.ndarray]:
-    """Steps of the encoder, height of the peak, and each laser's lever arm (m) and phase (steps)."""
+    """Steps of the encoder, height of the peak, and each laser's lever arm (m) and phase (steps).
+
+    The peak is 0 of a sensor that begins each sweep anywhere: some lattice fits a few scans by chance.
+    """
     chosen = list(range(0, len(groups), max(1, len(groups) // 8)))
     mean = np.mean([_spectra(groups[k]).max(axis=0) for k in chosen], axis=0)
     mean[: min(64, len(mean))] = 0.0
@@ -309,7 +314,30 @@ def _lattice(groups: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray, np.n
         best = int(np.abs(waves).argmax())
         arms_m[k], peaks[k] = _ARMS_M[best], abs(waves[best])
         phases[k] = np.angle(waves[best]) / (2.0 * np.pi)
-    return steps, float(np.median(peaks)), arms_m, phases
+    is_one = _has_one_begin([groups[k] for k in chosen], arms_m[chosen])
+    return steps, float(np.median(peaks)) if is_one else 0.0, arms_m, phases
+
+
+def _has_one_begin(groups: Sequence[np.ndarray], arms_m: np.ndarray) -> bool:
+    """Whether all scans of lasers with lever arms (k,) lie on one lattice, as exactly as each by itself."""
+    alone, together = np.zeros((2, _MOST_STEPS))
+    for points_m, arm_m in zip(groups, arms_m, strict=True):
+        azimuth, rho_m = _flat(points_m)
+        angle, scan = np.mod(azimuth - arm_m / rho_m, 2.0 * np.pi), points_m[:, 3]
+        waves = np.array([_wave(angle[scan == one]) for one in np.unique(scan)])
+        returns = np.unique(scan, return_counts=True)[1]
+        alone += np.average(np.abs(waves), axis=0, weights=returns)
+        together += np.abs(np.average(waves, axis=0, weights=returns))
+    alone[:64] = 0.0
+    first = int(np.flatnonzero(alone >= 0.9 * alone.max())[0])
+    return bool(together[first] >= _ONE_BEGIN * alone[first])
+
+
+def _wave(angle_rad: np.ndarray) -> np.ndarray:
+    """Mean of exp(-i n angle) over angles (k,) in [0, 2 pi), for each wave number n."""
+    bins = np.minimum((angle_rad * (_BINS / (2.0 * np.pi))).astype(np.int64), _BINS - 1)
+    wave: np.ndarray = np.fft.rfft(np.bincount(bins, minlength=_BINS))[:_MOST_STEPS] / len(angle_rad)
+    return wave
 
 
 def _spectra(points_m: np.ndarray) -> np.ndarray:
@@ -317,10 +345,7 @@ def _spectra(points_m: np.ndarray) -> np.ndarray:
     azimuth, rho_m = _flat(points_m)
     found = []
     for arm_m in _ARMS_M:
-        angle = np.mod(azimuth - arm_m / rho_m, 2.0 * np.pi)
-        bins = np.minimum((angle * (_BINS / (2.0 * np.pi))).astype(np.int64), _BINS - 1)
-        wave = np.abs(np.fft.rfft(np.bincount(bins, minlength=_BINS))) / len(angle)
-        found.append(wave[:_MOST_STEPS])
+        found.append(np.abs(_wave(np.mod(azimuth - arm_m / rho_m, 2.0 * np.pi))))
     return np.array(found)
 
 

@@ -129,6 +129,23 @@ def test_an_evenly_spaced_sensor_without_lever_arms_is_told_apart_by_elevation()
     assert "gaps between their elevations" in made.evidence
 
 
+@pytest.mark.parametrize("begins", [(0.3,) * 3, (0.05, 0.9, 0.8), (0.1, 0.45, 0.75)])
+def test_a_sensor_that_begins_each_sweep_anywhere_has_no_lattice(begins):
+    columns, rings = np.arange(720), np.arange(16)
+    laser, column = (one.ravel() for one in np.meshgrid(rings, columns, indexing="ij"))
+    elevation = np.radians(2.0 * laser - 15.0)
+    range_m = np.random.default_rng(1).uniform(5.0, 40.0, len(laser))
+
+    def scan(begin):
+        azimuth = 2.0 * np.pi * (column + begin) / len(columns)
+        flat_m = range_m * np.cos(elevation)
+        rows = np.stack([flat_m * np.cos(azimuth), flat_m * np.sin(azimuth), range_m * np.sin(elevation)], 1)
+        return rows.astype(np.float32), laser
+
+    said = find_table([scan(begin) for begin in begins]).evidence
+    assert ("no encoder's lattice" in said) == (len(set(begins)) > 1)
+
+
 @pytest.mark.parametrize("name", ["k360_street", "kitti0005_van_cyclist"])
 def test_the_lasers_of_real_scans_are_the_measured_table(name):
     if not (SHARED / "data/scenes.toml").is_file():
