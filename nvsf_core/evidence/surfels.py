@@ -1,6 +1,6 @@
 """Surfels: the surface in each voxel, and how often the voxel stopped a ray or let it pass."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
@@ -159,14 +159,12 @@ def build_surfels(
         shaped: Whether surfels get shapes (`Surfels.precision`).
     """
     returns = _returns(origin_m, direction, range_m, intensity, voxel_m=voxel_m, is_surface=is_surface)
-    if not shaped:
-        returns = returns.joined()
     precision = returns.precision() if shaped else _NO_SHAPES
     (passes,) = count_passes(
         *returns.rays, returns.stops_m(_SHAPE_MARGIN if shaped else _VOXEL_MARGIN), returns.index,
-        returns.planes.mean_m, precision,
+        returns.mean_m, precision,
     )  # fmt: skip
-    return returns.surfels(precision, passes)
+    return returns.surfels(returns.own_planes() if shaped else returns.joined_planes(), precision, passes)
 
 
 def build_both(
@@ -191,10 +189,11 @@ def build_both(
     returns = _returns(origin_m, direction, range_m, intensity, voxel_m=voxel_m, is_surface=is_surface)
     precision = returns.precision()
     passes, crossed = count_passes(
-        *returns.rays, returns.stops_m(_SHAPE_MARGIN), returns.index, returns.planes.mean_m, precision,
+        *returns.rays, returns.stops_m(_SHAPE_MARGIN), returns.index, returns.mean_m, precision,
         returns.stops_m(_VOXEL_MARGIN),
     )  # fmt: skip
-    return returns.joined().surfels(_NO_SHAPES, crossed), returns.surfels(precision, passes)
+    joined, own = returns.joined_planes(), returns.own_planes()
+    return returns.surfels(joined, _NO_SHAPES, crossed), returns.surfels(own, precision, passes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +204,7 @@ class _Returns:
     """Origins and directions (n, 3) float32."""
     range_m: np.ndarray
     index: VoxelIndex
-    planes: VoxelPlanes
+    mean_m: np.ndarray
     covariance: np.ndarray
     """(v, 3, 3) float64, m^2."""
     hits: np.ndarray
@@ -216,17 +215,20 @@ class _Returns:
         found: np.ndarray = np.maximum(self.range_m - margin * self.index.voxel_m, 0).astype(np.float32)
         return found
 
-    def joined(self) -> "_Returns":
-        """The same with the planes of the voxels around each too."""
-        return replace(self, planes=joined_planes(self.index, self.planes, self.covariance, self.hits))
+    def own_planes(self) -> VoxelPlanes:
+        """Of each voxel's own returns."""
+        return own_planes(self.mean_m, self.covariance, self.hits)
+
+    def joined_planes(self) -> VoxelPlanes:
+        """Of the returns of the voxels around each too."""
+        return joined_planes(self.index, self.mean_m, self.covariance, self.hits)
 
     def precision(self) -> np.ndarray:
         """The surfels' shapes (v, 6)."""
         return _precision(self.covariance, self.hits, self.index.voxel_m)
 
-    def surfels(self, precision: np.ndarray, passes: np.ndarray) -> Surfels:
-        """With shapes (v, 6), or (0, 6) without, and passes (v,)."""
-        planes = self.planes
+    def surfels(self, planes: VoxelPlanes, precision: np.ndarray, passes: np.ndarray) -> Surfels:
+        """With planes, shapes (v, 6), or (0, 6) without, and passes (v,)."""
         return Surfels(
             index=self.index, mean_m=planes.mean_m, normal=planes.normal, precision=precision,
             thickness_m=planes.thickness_m, intensity=self.intensity, hits=self.hits.astype(np.int32),
@@ -249,11 +251,10 @@ def _returns(
     index, voxel = index_points(points, voxel_m)
     hits = np.bincount(voxel, minlength=index.voxel_count)
     mean, covariance = voxel_moments(points, voxel, hits)
-    planes = own_planes(mean.astype(np.float32), covariance, hits)
     shine = np.bincount(voxel, weights=intensity[kept], minlength=index.voxel_count)
     return _Returns(
         rays=(np.ascontiguousarray(origin_m, np.float32), np.ascontiguousarray(direction, np.float32)),
-        range_m=range_m, index=index, planes=planes, covariance=covariance, hits=hits,
+        range_m=range_m, index=index, mean_m=mean.astype(np.float32), covariance=covariance, hits=hits,
         intensity=(shine / hits).astype(np.float32),
     )  # fmt: skip
 

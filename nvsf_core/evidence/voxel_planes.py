@@ -11,6 +11,7 @@ import numpy as np
 
 from nvsf_core.geometry.voxels import VoxelIndex
 from nvsf_core.kernels.neighbour_moments import neighbour_moments
+from nvsf_core.kernels.plane_fits import fit_planes
 
 _LEAST_RETURNS = 5
 _EIGENVALUE_RATIO = 4.0
@@ -38,37 +39,39 @@ class VoxelPlanes:
 
 def own_planes(mean_m: np.ndarray, covariance: np.ndarray, returns: np.ndarray) -> VoxelPlanes:
     """Of each voxel's own returns: means (v, 3) in metres, covariances (v, 3, 3) in m^2, numbers (v,)."""
-    values, vectors = np.linalg.eigh(covariance)
-    planar = (returns >= _LEAST_RETURNS) & (values[:, 1] > _EIGENVALUE_RATIO * values[:, 0])
-    normal = np.where(planar[:, None], vectors[:, :, 0], 0.0).astype(np.float32)
-    return VoxelPlanes(mean_m, normal, np.sqrt(np.maximum(values[:, 0], 0.0)).astype(np.float32))
+    least, middle, normal = fit_planes(covariance)
+    planar = (returns >= _LEAST_RETURNS) & (middle > _EIGENVALUE_RATIO * least)
+    normal = np.where(planar[:, None], normal, 0.0).astype(np.float32)
+    return VoxelPlanes(mean_m, normal, np.sqrt(np.maximum(least, 0.0)).astype(np.float32))
 
 
 def joined_planes(
-    index: VoxelIndex, own: VoxelPlanes, covariance: np.ndarray, returns: np.ndarray
+    index: VoxelIndex, mean_m: np.ndarray, covariance: np.ndarray, returns: np.ndarray
 ) -> VoxelPlanes:
-    """The planes of the voxels of an index, of the returns around each too where they go on in one plane.
+    """Of the returns around each voxel too, where they go on in one plane; else as of `own_planes`.
 
     Args:
         index: The voxels.
-        own: Of their own returns.
+        mean_m: (v, 3) float32, of each voxel's own returns.
         covariance: (v, 3, 3) float64 of these, m^2.
         returns: (v,) their numbers.
     """
     place = index.places()
-    count, offset_m, within, between = neighbour_moments(index, place, returns, own.mean_m, covariance)
-    values, vectors = np.linalg.eigh(within + between)
-    normal = vectors[:, :, 0]
+    count, offset_m, within, between = neighbour_moments(index, place, returns, mean_m, covariance)
+    least, middle, normal = fit_planes(within + between)
     across, beside = (np.einsum("va,vab,vb->v", normal, one, normal) for one in (within, between))
-    is_one = (count >= _LEAST_RETURNS) & (values[:, 1] > _EIGENVALUE_RATIO * values[:, 0])
+    is_one = (count >= _LEAST_RETURNS) & (middle > _EIGENVALUE_RATIO * least)
     is_one &= (beside <= _MOST_BESIDE * across + _BESIDE_M**2) & (across < _THICKEST_M**2)
-    middle_m = own.mean_m + np.einsum("va,va->v", normal, offset_m)[:, None] * normal
+    middle_m = mean_m + np.einsum("va,va->v", normal, offset_m)[:, None] * normal
     # Rays end on a plane inside of its voxel alone: one just outside would be met by none.
     low_m = index.origin_m + place * index.voxel_m
     middle_m = np.clip(middle_m, low_m + _RIM_M, low_m + index.voxel_m - _RIM_M)
-    thickness_m = np.sqrt(np.maximum(across, 0.0))
-    return VoxelPlanes(
-        np.where(is_one[:, None], middle_m, own.mean_m).astype(np.float32),
-        np.where(is_one[:, None], normal, own.normal).astype(np.float32),
-        np.where(is_one, thickness_m, own.thickness_m).astype(np.float32),
-    )
+    found = VoxelPlanes(
+        middle_m.astype(np.float32), normal.astype(np.float32),
+        np.sqrt(np.maximum(across, 0.0)).astype(np.float32),
+    )  # fmt: skip
+    rest = np.flatnonzero(~is_one)
+    own = own_planes(mean_m[rest], covariance[rest], returns[rest])
+    for name in ("mean_m", "normal", "thickness_m"):
+        getattr(found, name)[rest] = getattr(own, name)
+    return found

@@ -1,10 +1,12 @@
-"""How the returns of each voxel scatter together with those of the 26 voxels around it; numba on the CPU."""
+"""How the returns of each voxel scatter together with those of the 26 voxels around it; numba on the CPU.
+
+One thread, see `plane_fits`.
+"""
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 _BRICK = 8
-_VOXELS_A_TASK = 1024
 
 
 @njit(inline="always")
@@ -18,7 +20,7 @@ def _number_at(x, y, z, bricks, cells):  # type: ignore[no-untyped-def]
     return cells[bricks[i, j, k], (x % _BRICK * _BRICK + y % _BRICK) * _BRICK + z % _BRICK]
 
 
-@njit(parallel=True, cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def neighbour_moments(index, place, returns, mean_m, covariance):  # type: ignore[no-untyped-def]
     """Moments of the returns of each voxel and of those around it, each return of the same weight.
 
@@ -36,31 +38,44 @@ def neighbour_moments(index, place, returns, mean_m, covariance):  # type: ignor
     voxels = len(place)
     count, offset_m = np.zeros(voxels), np.zeros((voxels, 3))
     within, between = np.zeros((voxels, 3, 3)), np.zeros((voxels, 3, 3))
-    for task in prange((voxels + _VOXELS_A_TASK - 1) // _VOXELS_A_TASK):
-        apart = np.zeros(3)
-        for voxel in range(task * _VOXELS_A_TASK, min(voxels, (task + 1) * _VOXELS_A_TASK)):
-            for step in range(27):
-                other = _number_at(
-                    place[voxel, 0] + step // 9 - 1, place[voxel, 1] + step // 3 % 3 - 1,
-                    place[voxel, 2] + step % 3 - 1, index.bricks, index.cells,
-                )  # fmt: skip
-                if other < 0:
-                    continue
-                n = returns[other]
-                count[voxel] += n
-                for a in range(3):
-                    apart[a] = float(mean_m[other, a]) - mean_m[voxel, a]
-                    offset_m[voxel, a] += n * apart[a]
-                for a in range(3):
-                    for b in range(3):
-                        within[voxel, a, b] += n * covariance[other, a, b]
-                        between[voxel, a, b] += n * apart[a] * apart[b]
-            for a in range(3):
-                offset_m[voxel, a] /= count[voxel]
-            for a in range(3):
-                for b in range(3):
-                    within[voxel, a, b] /= count[voxel]
-                    between[voxel, a, b] = (
-                        between[voxel, a, b] / count[voxel] - offset_m[voxel, a] * offset_m[voxel, b]
-                    )
+    for voxel in range(voxels):
+        total, x, y, z = 0.0, 0.0, 0.0, 0.0
+        own, apart = within[voxel], between[voxel]
+        for step in range(27):
+            other = _number_at(
+                place[voxel, 0] + step // 9 - 1, place[voxel, 1] + step // 3 % 3 - 1,
+                place[voxel, 2] + step % 3 - 1, index.bricks, index.cells,
+            )  # fmt: skip
+            if other < 0:
+                continue
+            n = float(returns[other])
+            i = float(mean_m[other, 0]) - mean_m[voxel, 0]
+            j = float(mean_m[other, 1]) - mean_m[voxel, 1]
+            k = float(mean_m[other, 2]) - mean_m[voxel, 2]
+            total, x, y, z = total + n, x + n * i, y + n * j, z + n * k
+            _add_upper(own, n, covariance[other])
+            apart[0, 0] += n * i * i
+            apart[0, 1] += n * i * j
+            apart[0, 2] += n * i * k
+            apart[1, 1] += n * j * j
+            apart[1, 2] += n * j * k
+            apart[2, 2] += n * k * k
+        count[voxel] = total
+        offset_m[voxel, 0], offset_m[voxel, 1], offset_m[voxel, 2] = x / total, y / total, z / total
+        for a in range(3):
+            for b in range(a, 3):
+                own[a, b] /= total
+                apart[a, b] = apart[a, b] / total - offset_m[voxel, a] * offset_m[voxel, b]
+                own[b, a], apart[b, a] = own[a, b], apart[a, b]
     return count, offset_m, within, between
+
+
+@njit(inline="always")
+def _add_upper(target, n, matrix):  # type: ignore[no-untyped-def]
+    """Add n times the upper triangle of a (3, 3) matrix."""
+    target[0, 0] += n * matrix[0, 0]
+    target[0, 1] += n * matrix[0, 1]
+    target[0, 2] += n * matrix[0, 2]
+    target[1, 1] += n * matrix[1, 1]
+    target[1, 2] += n * matrix[1, 2]
+    target[2, 2] += n * matrix[2, 2]

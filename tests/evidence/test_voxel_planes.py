@@ -13,8 +13,8 @@ def planes_of(points_m: np.ndarray) -> tuple[VoxelIndex, VoxelPlanes, VoxelPlane
     index, voxel = index_points(points_m, VOXEL_M)
     returns = np.bincount(voxel)
     mean_m, covariance = voxel_moments(points_m, voxel, returns)
-    own = own_planes(mean_m.astype(np.float32), covariance, returns)
-    return index, own, joined_planes(index, own, covariance, returns)
+    of_voxels = mean_m.astype(np.float32), covariance, returns
+    return index, own_planes(*of_voxels), joined_planes(index, *of_voxels)
 
 
 def road(length_m: float, normal: np.ndarray) -> np.ndarray:
