@@ -13,6 +13,11 @@ from pipelines.one_process import INTERRUPTED
 from tests.conftest import clean_environment
 
 
+def _heeds_ctrl_c() -> None:
+    """As in a terminal: what a shell starts in the background ignores it, and so do its children."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.cli
 @pytest.mark.parametrize("executor", ["in_process", "multiprocess"])
 def test_an_interrupted_run_ends_with_130_and_as_failed_in_dagsters_history(
@@ -25,6 +30,7 @@ def test_an_interrupted_run_ends_with_130_and_as_failed_in_dagsters_history(
     with subprocess.Popen(
         [Path(sys.executable).with_name("nvsf"), "train", "tiny"], env=environment, text=True,
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True,
+        preexec_fn=_heeds_ctrl_c,
     ) as process:  # fmt: skip
         assert process.stderr is not None
         # Nothing of the drive is made yet: what says `done` from here on was done in spite of Ctrl-C.

@@ -30,7 +30,7 @@ from nvsf_core.stages.views.view import held_out_view, reference_poses, to_world
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.tables import read_rows
 
-FRAMES, TEST, PERIOD_S = 10, (7, 9), 0.1
+FRAMES, TEST, PERIOD_S = 10, (6, 7, 9), 0.1
 DELAY_S = 0.025
 CAMERA = Pinhole(fx=20.0, fy=20.0, cx=15.5, cy=11.5, width=32, height=24)
 MOUNTING = np.array([[0.0, 0.0, 1.0, 0.3], [-1.0, 0.0, 0.0, 0.1], [0.0, -1.0, 0.0, -0.2], [0, 0, 0, 1]])
@@ -78,8 +78,8 @@ def test_the_mounting_has_none_of_the_cars_motion_in_it(recording: Recording) ->
 def test_images_have_their_own_times(recording: Recording) -> None:
     camera = recording.cameras["front"]
     own_s = [k * PERIOD_S + (1 + k % 2) * DELAY_S for k in range(FRAMES - 1)]
-    # The last one has no time, and is taken to be of its frame's instant.
-    np.testing.assert_allclose(camera.recorded_time_s, [*own_s, (FRAMES - 1) * PERIOD_S], atol=1e-9)
+    # The last one has no time, and is left out.
+    np.testing.assert_allclose(camera.recorded_time_s, own_s, atol=1e-9)
     trained = [frame for frame in range(FRAMES) if frame not in TEST]
     assert camera.training_frame.tolist() == trained
     np.testing.assert_allclose(camera.training_time_s, camera.recorded_time_s[trained], atol=1e-9)
@@ -99,8 +99,8 @@ def test_held_out_images_are_shown_where_and_when_they_were_taken(recording: Rec
     view = held_out_view(recording, TEST)
     assert view is not None
     plan = view.images["front"]
-    assert plan.frame.tolist() == list(TEST)
-    taken_s = [TEST[0] * PERIOD_S + 2 * DELAY_S, TEST[1] * PERIOD_S]
+    assert plan.frame.tolist() == [6, 7]
+    taken_s = [6 * PERIOD_S + DELAY_S, 7 * PERIOD_S + 2 * DELAY_S]
     np.testing.assert_allclose(plan.time_s, taken_s, atol=1e-9, err_msg="of what moves")
     np.testing.assert_allclose(plan.moments_s, taken_s, atol=1e-9, err_msg="of the camera")
     shown = to_world(recording, reference_poses(recording, plan) @ recording.cameras["front"].in_lidar)
