@@ -139,14 +139,14 @@ def build_surfels(
     voxel_m: float,
     is_surface: np.ndarray | None = None,
     shaped: bool = False,
+    joined: bool = True,
 ) -> Surfels:
     """Surfels of the returns of rays.
 
-    Without shapes, a ray passes through every voxel that it crosses up to one voxel before its return, and
-    planes are those of the returns around a voxel too (`joined_planes`). With shapes, it passes through a
-    voxel only if it comes as near to the voxel's returns as one of them would, and leaves it half a voxel
-    before its own return. So a road stays opaque below rays that graze it, and a wall beside a gap.
-    `reproject` needs shapes; a field learns less from them (decision 0013).
+    Without shapes, a ray passes through every voxel that it crosses up to one voxel before its return. With
+    shapes, it passes through a voxel only if it comes as near to the voxel's returns as one of them would,
+    and leaves it half a voxel before its own return. So a road stays opaque below rays that graze it, and a
+    wall beside a gap. `reproject` needs shapes; a field learns less from them (decision 0013).
 
     Args:
         origin_m: (n, 3) scene-local, metres.
@@ -157,6 +157,8 @@ def build_surfels(
         is_surface: (n,) bool: the return is part of a surface. False for example on moving objects, whose
             rays then only pass through voxels. None = all are.
         shaped: Whether surfels get shapes (`Surfels.precision`).
+        joined: Whether planes of surfels without shapes are those of the voxels around, too
+            (`joined_planes`): no small object's, past whose edges rays would see.
     """
     returns = _returns(origin_m, direction, range_m, intensity, voxel_m=voxel_m, is_surface=is_surface)
     precision = returns.precision() if shaped else _NO_SHAPES
@@ -164,7 +166,8 @@ def build_surfels(
         *returns.rays, returns.stops_m(_SHAPE_MARGIN if shaped else _VOXEL_MARGIN), returns.index,
         returns.mean_m, precision,
     )  # fmt: skip
-    return returns.surfels(returns.own_planes() if shaped else returns.joined_planes(), precision, passes)
+    planes = returns.joined_planes() if joined and not shaped else returns.own_planes()
+    return returns.surfels(planes, precision, passes)
 
 
 def build_both(

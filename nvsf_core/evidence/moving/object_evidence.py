@@ -235,7 +235,7 @@ class ObjectEvidence:
             return None
         return build_surfels(
             rays.origin_m, rays.direction, rays.range_m, rays.intensity,
-            voxel_m=self.voxel_m, is_surface=rays.is_hit,
+            voxel_m=self.voxel_m, is_surface=rays.is_hit, joined=False,
         )  # fmt: skip
 
     def _rows_of(self, scans: np.ndarray) -> np.ndarray:
