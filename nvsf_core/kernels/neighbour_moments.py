@@ -6,18 +6,7 @@ One thread, see `plane_fits`.
 import numpy as np
 from numba import njit
 
-_BRICK = 8
-
-
-@njit(inline="always")
-def _number_at(x, y, z, bricks, cells):  # type: ignore[no-untyped-def]
-    """Number of the voxel at grid coordinates, -1 where there is none."""
-    if x < 0 or y < 0 or z < 0:
-        return -1
-    i, j, k = x // _BRICK, y // _BRICK, z // _BRICK
-    if i >= bricks.shape[0] or j >= bricks.shape[1] or k >= bricks.shape[2] or bricks[i, j, k] < 0:
-        return -1
-    return cells[bricks[i, j, k], (x % _BRICK * _BRICK + y % _BRICK) * _BRICK + z % _BRICK]
+from nvsf_core.kernels.voxel_lookup import number_at
 
 
 @njit(cache=True, nogil=True)
@@ -42,7 +31,7 @@ def neighbour_moments(index, place, returns, mean_m, covariance):  # type: ignor
         total, x, y, z = 0.0, 0.0, 0.0, 0.0
         own, apart = within[voxel], between[voxel]
         for step in range(27):
-            other = _number_at(
+            other = number_at(
                 place[voxel, 0] + step // 9 - 1, place[voxel, 1] + step // 3 % 3 - 1,
                 place[voxel, 2] + step % 3 - 1, index.bricks, index.cells,
             )  # fmt: skip

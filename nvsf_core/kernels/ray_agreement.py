@@ -6,12 +6,12 @@ import numpy as np
 from numba import njit, prange
 
 from nvsf_core.kernels.scan_lookup import EMPTY, SAME, THROUGH
+from nvsf_core.kernels.voxel_lookup import number_at
 
 _SAME_DIRECTION_COSINE = math.cos(math.radians(20.0))
 _SAME_DISTANCE_RATIO = 1.5
 _NEAREST_M = 1e-3
 _RAYS_A_TASK = 4096
-_BRICK = 8
 
 
 # Wide: columns of the rays, of what the scan recorded and of the result.
@@ -77,16 +77,5 @@ def holds_points(points_m, index, reach=0):  # type: ignore[no-untyped-def]
             for i in range(x - reach, x + reach + 1):
                 for j in range(y - reach, y + reach + 1):
                     for k in range(z - reach, z + reach + 1):
-                        holds[point] |= _holds_voxel(i, j, k, index.bricks, index.cells)
+                        holds[point] |= number_at(i, j, k, index.bricks, index.cells) >= 0
     return holds
-
-
-@njit(inline="always")
-def _holds_voxel(x, y, z, bricks, cells):  # type: ignore[no-untyped-def]
-    if x < 0 or y < 0 or z < 0:
-        return False
-    i, j, k = x // _BRICK, y // _BRICK, z // _BRICK
-    if i >= bricks.shape[0] or j >= bricks.shape[1] or k >= bricks.shape[2] or bricks[i, j, k] < 0:
-        return False
-    cell = (x % _BRICK * _BRICK + y % _BRICK) * _BRICK + z % _BRICK
-    return cells[bricks[i, j, k], cell] >= 0
