@@ -74,7 +74,9 @@ _OTHERS = (
     ("masked", _CD_M2._replace(title="masked CD m²")),
     ("image", Column("image_psnr_db", "image PSNR dB", 2, HIGHER)),
 )  # fmt: skip
-_SWEEP_LIMITS = ", ".join(f"`{name}` {most['render_seconds']:g} s" for name, most in COSTS.items())
+_SWEEP_LIMITS = ", ".join(
+    f"`{name}` {most['render_seconds']:g} s" for name, most in COSTS.items() if "render_seconds" in most
+)
 _ABOUT_OTHERS = f"""\
 ## Drives that nobody tuned on
 
@@ -92,7 +94,7 @@ edit. Not measured on KITTI-360's ten scenes. No published figure stands here: t
 Means over the frames that the catalogue holds out (split `test`), then over seeds, with their standard
 deviation (±) where there are several. **Bold**: the best of its column. `*`: over fewer frames than there
 are, for in the others the method gave nothing to measure; never the best beside a mean over more frames. A
-row *target* is what `lean` set out to reach, as the mean of three seeds, written down in its issue before it
+row *target* is what `lean` set out to reach, as the mean of three seeds, written down in an issue before it
 was built and repeated in `benchmarks/tables/targets.py`; ✗ marks what misses it. Error over training time:
 [speed_and_error.md](speed_and_error.md).
 """

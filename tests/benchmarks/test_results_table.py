@@ -150,7 +150,7 @@ def test_what_must_beat_the_baselines_or_cost_little_is_marked_where_it_does_not
     assert "| *target* | better than every baseline | better than every baseline |" in boxes
     without_mesh = as_document([row for row in rows if row["method"] != "mesh"])
     assert "0.9500** ✗" in without_mesh, "whether what nobody measured is beaten is not known"
-    assert document.count("2,000 ✗") == 1 and "| *target*, `lean` |  | ≤ 1,800 |" in document
+    assert document.count("2,000 ✗") == 1 and "| *target*, `lean` |  | ≤ 600 |" in document
 
 
 def test_a_views_error_stands_over_that_of_interpolation(tmp_path):

@@ -68,7 +68,7 @@ def test_the_full_street_asks_for_views_off_its_path_of_another_sensor_and_betwe
         ("up_1m", (0.0, 0.0, 1.0), 0.0),
         ("yaw_15", (0.0, 0.0, 0.0), 15.0),
     ]
-    assert {view.frames for view in off_path} == {(12, 28)}
+    assert {view.frames for view in off_path} == {(4, 12, 20, 28)}
     assert (vlp16.name, vlp16.sensor, len(vlp16.frames)) == ("vlp16", "VLP-16", 4)
     assert (os1_128.name, os1_128.sensor, len(os1_128.frames)) == ("os1_128", "OS1-128", 4)
     assert between.name == "between" and between.times_s is not None and len(between.times_s) == 4
