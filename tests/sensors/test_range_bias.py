@@ -5,6 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nvsf_core.demo.lidar import RANGE_NOISE_M, exact_rays
+from nvsf_core.demo.world import DemoWorld
+from nvsf_core.sensors.beam_table import sensor_rays
 from nvsf_core.sensors.sensor_errors import learn_range_bias
 from nvsf_core.sensors.sweep import Trajectory, sweep_rays
 from nvsf_core.sensors.tables import VLP_16
@@ -34,6 +37,27 @@ def test_a_lasers_bias_is_found_to_millimetres() -> None:
 
 def test_lasers_that_agree_are_left_alone() -> None:
     assert np.abs(learn_range_bias(*scans_of_a_room(np.zeros(LASERS), 1), LASERS)).max() < 0.002
+
+
+def test_a_perfect_sensor_that_stands_has_no_biases_though_corners_look_like_some() -> None:
+    rng, lasers = np.random.default_rng(0), np.arange(16)
+    azimuth_rad = np.broadcast_to(np.linspace(0.0, 2.0 * np.pi, 1800, endpoint=False), (16, 1800))
+    exact = exact_rays(
+        DemoWorld(2), VLP_16, lasers, azimuth_rad, np.zeros(azimuth_rad.shape), mount=None, own_vehicle=False
+    )
+    origin, direction = sensor_rays(VLP_16, azimuth_rad, lasers[:, None])
+    laser = np.broadcast_to(lasers[:, None], azimuth_rad.shape)
+    there = (exact.chance > 0.5) & (exact.range_m < 80.0)
+    scans = 8
+    of_one = (
+        np.broadcast_to(origin, direction.shape)[there],
+        direction[there],
+        exact.range_m[there],
+        laser[there],
+    )
+    origin, direction, range_m, laser = (np.concatenate([column] * scans) for column in of_one)
+    recorded_m = range_m + rng.normal(0.0, RANGE_NOISE_M, len(range_m))
+    assert (learn_range_bias(origin, direction, recorded_m, laser, 16) == 0.0).all()
 
 
 @pytest.mark.parametrize("kept", [slice(0, 0), slice(0, 40)])
