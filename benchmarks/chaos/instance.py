@@ -25,10 +25,10 @@ def hanging(world: World) -> Iterator[str]:
             yield f"pool {DEVICE_POOL}: {slots.active_slot_count} slots held, {slots.pending_step_count} wait"
 
 
-def newest_run(world: World, job: str | None = None) -> tuple[str, str]:
+def newest_run(world: World) -> tuple[str, str]:
     """Id and status of the newest run; empty if there is none."""
     with dg.DagsterInstance.from_config(str(world.instance)) as instance:
-        runs = instance.get_runs(dg.RunsFilter(job_name=job), limit=1)
+        runs = instance.get_runs(limit=1)
         return (runs[0].run_id, runs[0].status.value) if runs else ("", "")
 
 

@@ -117,10 +117,10 @@ class World:
         self.runs += 1
         return Running.start(command, self.folder / f"{name}-{self.runs}.txt", self.environment(**more))
 
-    def plan(self, seed: int | None = None) -> SceneRun:
-        """The run of a seed, as the library plans it."""
+    def plan(self) -> SceneRun:
+        """The latest run, as the library plans it."""
         (entry,) = load_catalogue([self.folder / "scenes.toml"], None)
-        return plan_run(entry, self.home, recipe="smoke", seed=self.seed if seed is None else seed)
+        return plan_run(entry, self.home, recipe="smoke", seed=self.seed)
 
     def restore_drive(self) -> None:
         """Put the drive's bytes back as they were recorded."""
@@ -136,8 +136,7 @@ def made_world(folder: Path, *, bare: bool = False) -> Iterator[World]:
     if bare:  # its runs are forked from this process, and load no library again
         for name in WORK_MODULES:
             importlib.import_module(name)
-    size = DemoSize.tiny()
-    write_demo(folder / "drive", size=size)
+    write_demo(folder / "drive", size=DemoSize.tiny())
     (folder / "scenes.toml").write_text(_CATALOGUE)
     (folder / "disk").mkdir()
     has_disk = os.geteuid() == 0 and _mounted(folder / "disk", SHORT_DISK_MB if bare else DISK_MB)

@@ -9,21 +9,14 @@ import resource
 import subprocess
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 
 PART, OVERLAP = 32, 8
 STAGES = ("frames", "sweeps", "pano", "undistorted")
 
 
-def _ingest(root: Path, frames: int) -> None:
-    _run(root, frames, STAGES)
-
-
-def _evidence(root: Path, frames: int) -> None:
-    _run(root, frames, ("evidence",))
-
-
-def _run(root: Path, frames: int, stages: tuple[str, ...]) -> None:
+def _run(stages: tuple[str, ...], root: Path, frames: int) -> None:
     from nvsf_core.drives.cuts import cut_scene
     from nvsf_core.stages import plan_run, run_named_stage
 
@@ -63,7 +56,12 @@ def _write(root: Path, frames: int) -> None:
     write_demo(root, size=size)
 
 
-WAYS = {"ingest": _ingest, "evidence": _evidence, "import": _import, "write": _write}
+WAYS = {
+    "ingest": partial(_run, STAGES),
+    "evidence": partial(_run, ("evidence",)),
+    "import": _import,
+    "write": _write,
+}
 
 
 def peak_mb(way: str, root: Path, frames: int) -> float:

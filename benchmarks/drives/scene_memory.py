@@ -74,7 +74,7 @@ def main(words: list[str]) -> None:
             peaks = {f"{stage}_mb": _peak_mb(stage, drives, number) for stage in _MEASURED}
             rows.append({"frames": one.frames, "cameras": one.cameras, "metres": one.metres, **peaks})
             print(rows[-1], flush=True)
-    write_measured(documents.RESULTS / "scene_memory.json", {"machine": machine(), "rows": rows})
+    write_measured(documents.RESULTS / "scene_memory.json", {"rows": rows})
     head = f"{machine()}; commit {commit()}.\n\n"
     write_between(documents.DOCS / "scaling.md", "memory", head + document(rows))
 
@@ -82,12 +82,13 @@ def main(words: list[str]) -> None:
 def document(rows: list[dict[str, Any]]) -> str:
     """The table of all variants, and the fit in words."""
     head = ["frames", "cameras", "metres", "`evidence` MB", "`field` MB", "fit of `field` MB"]
-    base_mb, frame_mb, image_mb, metre_mb = fit(rows, "field_mb")
+    costs_mb = fit(rows)
+    base_mb, frame_mb, image_mb, metre_mb = costs_mb
     lines = [
         [
             row["frames"], row["cameras"], f"{row['metres']:.0f}", f"{row['evidence_mb']:,.0f}",
             f"{row['field_mb']:,.0f}",
-            f"{np.dot([base_mb, frame_mb, image_mb, metre_mb], _sizes(row)):,.0f}",
+            f"{np.dot(costs_mb, _sizes(row)):,.0f}",
         ]
         for row in rows
     ]  # fmt: skip
@@ -99,12 +100,10 @@ def document(rows: list[dict[str, Any]]) -> str:
     return markdown_table(head, lines, "|" + " ---: |" * len(head)) + words
 
 
-def fit(rows: list[dict[str, Any]], name: str) -> list[float]:
-    """Least squares of `name`: MB of nothing, and MB for each frame, image and metre."""
-    found, *_ = np.linalg.lstsq(
-        np.array([_sizes(row) for row in rows]), np.array([row[name] for row in rows]), rcond=None
-    )
-    return [float(value) for value in found]
+def fit(rows: list[dict[str, Any]]) -> list[float]:
+    """Least squares of `field`: MB of nothing, and MB for each frame, image and metre."""
+    measured_mb = [row["field_mb"] for row in rows]
+    return np.linalg.lstsq([_sizes(row) for row in rows], measured_mb, rcond=None)[0].tolist()
 
 
 def _sizes(row: dict[str, Any]) -> list[float]:

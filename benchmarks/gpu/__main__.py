@@ -11,11 +11,13 @@ import tempfile
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from benchmarks.common import documents
 from benchmarks.common.documents import commit
+from benchmarks.common.stored import write_json
 from benchmarks.gpu.document import PARTS, page
 from benchmarks.gpu.kernels import kernel_rows
 from benchmarks.gpu.paper import step_rows, training_rows
@@ -56,7 +58,6 @@ def main() -> None:
 
 def measure(plan: Plan, parts: list[str], results: Path, document: Path) -> None:
     """Store each row when it is measured, and the page of all that is stored: a lent GPU may go any time."""
-    results.parent.mkdir(parents=True, exist_ok=True)
     for part in parts:
         rows = dict[str, list[Row]]()
         for row in _MEASURE[part](plan):
@@ -67,15 +68,19 @@ def measure(plan: Plan, parts: list[str], results: Path, document: Path) -> None
                 "machine": machine(), "triton": _triton(), "commit": commit(),
                 "measured": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "rows": rows[scene],
             }  # fmt: skip
-            known = json.loads(results.read_text()) if results.is_file() else {}
+            known = _stored(results)
             known[part] = known.get(part, {}) | {scene: about}
-            results.write_text(json.dumps(known, indent=1) + "\n")
+            write_json(results, known)
             write_page(results, document)
 
 
 def write_page(results: Path, document: Path) -> None:
     """The page, from what is stored."""
-    document.write_text(page(json.loads(results.read_text()) if results.is_file() else {}))
+    document.write_text(page(_stored(results)))
+
+
+def _stored(results: Path) -> dict[str, Any]:
+    return json.loads(results.read_text()) if results.is_file() else {}
 
 
 def _triton() -> str:

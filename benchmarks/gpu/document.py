@@ -1,7 +1,9 @@
 """Writes docs/gpu.md from the measurements; a part that was not measured says so."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
+
+from benchmarks.common.documents import markdown_table
 
 Row = dict[str, Any]
 Measured = Mapping[str, Mapping[str, Mapping[str, Any]]]
@@ -82,18 +84,10 @@ def _section(part: str, found: Mapping[str, Mapping[str, Any]] | None) -> str:
     head = f"\n## {PARTS[part]}\n\n"
     if not found:
         return f"{head}Not run on a GPU.\n"
+    columns = _TABLES[part]
     tables = [
         f"{one['machine']}, triton {one['triton']}; commit {one['commit']}, {one['measured']}.\n\n"
-        + _table(_TABLES[part], one["rows"])
+        + markdown_table(list(columns), ([cell(row) for cell in columns.values()] for row in one["rows"]))
         for one in found.values()
     ]
     return f"{head}{_ABOUT[part]}\n\n" + "\n".join(tables)
-
-
-def _table(columns: Mapping[str, _Cell], rows: Sequence[Row]) -> str:
-    cells = [
-        list(columns),
-        ["---"] * len(columns),
-        *([cell(row) for cell in columns.values()] for row in rows),
-    ]
-    return "".join(f"| {' | '.join(line)} |\n" for line in cells)

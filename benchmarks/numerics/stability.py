@@ -3,7 +3,6 @@
 Run ``python -m benchmarks.numerics.stability`` (``make stability``).
 """
 
-import json
 import sys
 import time
 import warnings
@@ -12,6 +11,7 @@ from importlib import import_module
 
 from benchmarks.common import documents
 from benchmarks.common.documents import commit
+from benchmarks.common.stored import write_measured
 from benchmarks.numerics.cases.case import NOT_APPLICABLE, Case, Reading
 from nvsf_core.stages.runner.host import machine
 
@@ -84,8 +84,7 @@ def main() -> None:
     seconds = sum(float(row["time s"]) for row in rows)
     said = f"Commit {commit()}. {len(rows)} cases, {failing} failing, {seconds:.0f} s."
     print(said)
-    facts = {"machine": machine(), "commit": commit(), "rows": rows}
-    RESULTS.write_text(json.dumps(facts, indent=1) + "\n")
+    write_measured(RESULTS, {"rows": rows})
     DOCUMENT.write_text("\n".join([_HEAD, f"Machine: {machine()}. {said}\n", *_tables(rows)]) + "\n")
     sys.exit(1 if failing else 0)
 
