@@ -20,10 +20,6 @@ def name_fault(name: object, reserved: tuple[str, ...] = ()) -> str | None:
 
     A plain name begins with a letter or digit, goes on with letters, digits and `_ . @ -`, has no two dots
     in a row (Dagster's partition keys may not have three), and at most `LONGEST_NAME` characters.
-
-    Args:
-        name: Anything.
-        reserved: Names that already have another meaning there.
     """
     if not isinstance(name, str):
         return f"expected a name as text, found {name!r}"

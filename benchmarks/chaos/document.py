@@ -14,14 +14,7 @@ _LONGEST_HOW = 90
 
 
 def write_document_of(rows: Sequence[Row], seed: int, minutes: float, *, keep: bool) -> None:
-    """Store what happened, and write the tables of the document.
-
-    Args:
-        rows: The events of this round.
-        seed: Of the round.
-        minutes: That it took.
-        keep: Whether rounds that were stored before are kept, and shown with it.
-    """
+    """Store what happened, and write the tables of the document."""
     path = documents.RESULTS / "chaos.json"
     before = json.loads(path.read_text()) if keep and path.is_file() else {"rounds": [], "rows": []}
     this = {"commit": commit(), "seed": seed, "minutes": minutes, "events": len(rows)}

@@ -49,13 +49,7 @@ def main() -> None:
 
 
 def second_generation(scene: SceneEntry, home: Path, recipe: str) -> SceneEntry:
-    """Write all frames of a trained scene as a drive; returns its entry, with the same held-out frames.
-
-    Args:
-        scene: The scene.
-        home: NVSF_HOME.
-        recipe: Of the trained model.
-    """
+    """Write all frames of a trained scene as a drive; returns its entry, with the same held-out frames."""
     folder = home / "drives" / f"{scene.name}_again"
     # Written anew: the model may be another one.
     shutil.rmtree(folder, ignore_errors=True)

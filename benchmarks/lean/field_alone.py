@@ -27,11 +27,6 @@ _SEED = 0
 def equally_long(curves: Path, recipes: Path, scene: str) -> PaperRecipe:
     """The scene's best size with as many steps as fit into the seconds of `lean`'s trainings.
 
-    Args:
-        curves: Folder of the curves' results.
-        recipes: Folder of the finished runs' results, a JSON a recipe.
-        scene: Its name.
-
     Raises:
         DataError: The curve or `lean` was not measured on this scene yet.
         FileNotFoundError: A size was not.

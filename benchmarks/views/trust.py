@@ -72,12 +72,7 @@ def main() -> None:
 
 
 def orders(rows: Sequence[Row], source: str) -> str:
-    """Tables of views with score and true error, and of their rank correlations.
-
-    Args:
-        rows: Rows of `scene_metrics`, of one recipe and seed.
-        source: Where they come from, in a sentence.
-    """
+    """Tables of views with score and true error, and of their rank correlations."""
     parts = [source, ""]
     for kind, metrics in ERRORS.items():
         views = sorted(_views(rows, kind, by_camera=False), key=lambda one: one.score)

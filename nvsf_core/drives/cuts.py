@@ -68,10 +68,6 @@ def _views(views: Sequence[ViewEntry], begin: int, end: int) -> tuple[ViewEntry,
 def parts_of(name: str, catalogue: Sequence[SceneEntry]) -> list[tuple[SceneEntry, range]]:
     """The parts of a scene that was cut, each with the frames of a joined data set that are its own.
 
-    Args:
-        name: Name of the scene in the catalogue's file.
-        catalogue: All scenes.
-
     Raises:
         DataError: There are none.
     """

@@ -91,10 +91,6 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
 
     A frame that cannot be used is kept, with the reason; it never gets its neighbour's pose.
 
-    Args:
-        entry: The scene.
-        progress: Called with a line of text before each frame is read.
-
     Raises:
         CalibrationError: A calibration file is absent, or a key is missing or damaged.
         DataError: A line of poses or times cannot be read, or no scan or image of the section can be used.

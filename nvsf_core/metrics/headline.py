@@ -34,9 +34,6 @@ class _Mean(NamedTuple):
 def headline(rows: Sequence[Mapping[str, Any]]) -> str:
     """One scene's result in at most fourteen lines of 80 columns.
 
-    Args:
-        rows: Rows of `scene_metrics`, of one scene.
-
     Returns:
         Where the model beats the best baseline and where a baseline beats it, images off the recorded path
         where their truth is known, then the table; empty where nothing was measured on held-out frames. A

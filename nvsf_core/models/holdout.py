@@ -143,14 +143,7 @@ def score_left_out(
     lidar: LidarRecording,
     number: int,
 ) -> list[float]:
-    """The values of `SCAN_METRICS` of a training scan that is simulated as if it were held out.
-
-    Args:
-        render: As in `fire_left_out`.
-        prior_scans: As in `fire_left_out`.
-        lidar: The recording.
-        number: Of the scan among the training scans.
-    """
+    """The values of `SCAN_METRICS` of a training scan that is simulated as if it were held out."""
     prior, truth = lidar.evidence.prior, recorded_pano(lidar, number)
     rays, rendered = fire_left_out(render, prior_scans, lidar, number)
     points_m, intensity, _ = RenderedSweep.of(rays, rendered).scan()

@@ -9,10 +9,6 @@ MOST_SEED = 2**32 - 1
 def require_seed(seed: object, what: str = "seed") -> int:
     """Return the seed, if it is valid.
 
-    Args:
-        seed: Anything.
-        what: Its name in the error message.
-
     Raises:
         RecipeError: It is not a whole number from 0 to `MOST_SEED`.
     """

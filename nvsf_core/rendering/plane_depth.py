@@ -45,12 +45,6 @@ def planes_of(
     """Probability (d, h, w) and colour (d, 3, h, w) of a recorded image's d depth planes, at shrunk pixels.
 
     The image itself is the first source: planes are compared with it, but their colours are the others'.
-
-    Args:
-        network: Gives the logits of the probabilities.
-        view: Of the image.
-        spec: Recipe of the cameras.
-        window: Part of the shrunk image.
     """
     inverses, small = plane_inverses(spec, view.device), view.small
     points = SeenPoints(
@@ -126,13 +120,7 @@ def likeliest_depth(probability: Tensor, inverses: Tensor) -> tuple[Tensor, Tens
 
 @torch.no_grad()
 def image_inverse_depth(network: DepthNetwork, view: CameraView, spec: CameraSpec) -> Tensor:
-    """Inverse depth (H, W), 1/m, of a recorded image; near returns the LiDAR's.
-
-    Args:
-        network: Compares its depth planes.
-        view: Of the image, which is its first source.
-        spec: Recipe of the cameras.
-    """
+    """Inverse depth (H, W), 1/m, of a recorded image; near returns the LiDAR's."""
     trust = torch.exp(-view.gap_px / _FULL_TRUST_PX)
     inverses, places = plane_inverses(spec, view.device), places_in_small(view)
     probability, _ = planes_of(network, view, spec)

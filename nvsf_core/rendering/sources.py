@@ -87,11 +87,6 @@ def look_up(sources: Sources, points: SeenPoints, pinhole: Pinhole) -> tuple[Ten
     where a moving object hid it when the source image was taken. What is not shown is 0. Colours are
     bicubic: bilinear ones are blurred between pixels.
 
-    Args:
-        sources: Source images of the view.
-        points: What is looked up.
-        pinhole: Intrinsics of the sources.
-
     Raises:
         DivergedError: An inverse depth is not finite.
     """

@@ -37,11 +37,7 @@ _NOT_OF_PAPERS = "; not measured on KITTI-360’s ten scenes"
 
 
 def curves_png(runs: Sequence[Run]) -> bytes:
-    """PNG with one panel per measured metric: a curve per recipe, a level per baseline, the Pareto front.
-
-    Args:
-        runs: Runs of one scene and split.
-    """
+    """PNG of runs of one scene and split, a panel per metric: curves, baselines' levels, the Pareto front."""
     names = recipes_of(runs)
     learned = [name for name in names if name not in BASELINES]
     colours = {name: _COLOURS[i % len(_COLOURS)] for i, name in enumerate(learned)} | BASELINE_COLOURS

@@ -23,10 +23,6 @@ def strip_of(root: Path, view: Path) -> bytes | None:
 
     Beside each instant stands the recorded frame that is nearest.
 
-    Args:
-        root: Folder of the scene.
-        view: Folder of the view, with `model.zarr`.
-
     Raises:
         StoreError: What is stored is damaged.
     """

@@ -30,11 +30,6 @@ def with_view_files(folder: Path, home: Path, scene: SceneOutputs) -> SceneOutpu
     """Write the page of each view of a scene's newest run; returns the scene with pages and animations.
 
     A view of which neither can be made is left as it is, with the reason.
-
-    Args:
-        folder: Folder of the report.
-        home: NVSF_HOME.
-        scene: The scene's outputs.
     """
     if not scene.runs:
         return scene

@@ -24,13 +24,7 @@ _KNOWN = (
 
 
 def view_section(view: ViewPictures, recipe: str, rows: Sequence[Row]) -> str:
-    """HTML of one instant of a view, and of the errors of its images where their truth is known.
-
-    Args:
-        view: The view's pictures.
-        recipe: Name of the model's recipe.
-        rows: Mean metrics of the scene, by `method_rows`.
-    """
+    """HTML of one instant of a view, and of the errors of its images where their truth is known."""
     names = {"model": recipe}
     if view.view == HELD_OUT:
         parts = [f"<h3>Held-out frame {view.frame}</h3>"]

@@ -160,10 +160,6 @@ def fit_bonnet(table: LaserTable, scans: Sequence[ScanReturns]) -> Bonnet | None
 
     Minimises the robust sum of distances from each mirrored return to the nearest other return of its scan.
 
-    Args:
-        table: The sensor.
-        scans: Training scans.
-
     Returns:
         The surface, or None where too few returns lie below the road or no bonnet explains half of them.
     """

@@ -81,14 +81,7 @@ def make_benchmark_report(
 
 
 def _source(home: Path, names: Sequence[str], said: object, curves: Path | None) -> str:
-    """A digest of all that the page is made from, its own code included.
-
-    Args:
-        home: NVSF_HOME.
-        names: Scenes of the page.
-        said: What the caller says of them.
-        curves: Folder of curves, or None.
-    """
+    """A digest of all that the page is made from, its own code included."""
     read = [path for name in names for pattern in _RECORDS for path in published(home / name, pattern)]
     read += made_from(home, names)
     read += sorted(curves.rglob("*.json")) if curves is not None else []

@@ -43,13 +43,7 @@ _Origin = tuple[str, int, str]
 
 
 def tidy_versions(store: SceneStore, outcome: Outcome, progress: Progress) -> None:
-    """Remove what is beyond the number of the data sets that a run of the stage `dataset` has made or found.
-
-    Args:
-        store: The scene's store.
-        outcome: Of the stage.
-        progress: Receives progress lines.
-    """
+    """Remove what is beyond the number of the data sets that a run of the stage has made or found."""
     record = read_record(outcome.path) or {}
     keep_newest(store, record.get("files", {}).keys(), progress)
 
@@ -57,13 +51,8 @@ def tidy_versions(store: SceneStore, outcome: Outcome, progress: Progress) -> No
 def keep_newest(store: SceneStore, own: Collection[str], progress: Progress) -> None:
     """Remove the oldest versions beyond the number that is kept, of the data sets that `own` belong to.
 
-    Also finishes what a killed process began. A disk that refuses is reported, and no error: the data sets
-    are published.
-
-    Args:
-        store: The scene's store.
-        own: Places of the versions just made or found; none of them is removed.
-        progress: Receives progress lines.
+    None of `own`, places of versions just made or found, is removed. Also finishes what a killed process
+    began. A disk that refuses is reported, and no error: the data sets are published.
 
     Raises:
         DataError: NVSF_KEEP_VERSIONS is not a whole number from 1 on.

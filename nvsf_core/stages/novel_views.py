@@ -194,14 +194,7 @@ def render_view_arrays(
 def with_images(
     task: Task, recording: Recording, models: Mapping[str, SceneModel], asked: Sequence[View | None]
 ) -> tuple[dict[str, SceneModel], dict[str, Scalar]]:
-    """The models, all but the mesh with surfaces above the recorded lasers, found by images; and metadata.
-
-    Args:
-        task: Task of the stage, for its progress.
-        recording: The drive.
-        models: By name.
-        asked: All views that are rendered.
-    """
+    """The models, all but the mesh with surfaces above the recorded lasers, found by images; and metadata."""
     lidar = recording.lidar
     plans = [view.sweeps for view in asked if view is not None and view.sweeps is not None]
     if lidar is None or not any(looks_above(lidar, plan) for plan in plans):

@@ -23,9 +23,6 @@ def tools_now_there(said: Iterable[object]) -> list[str]:
     """Names of the tools whose absence is named in a record's texts, and that are there now.
 
     A tool that no text names is not looked for, so that nothing is loaded for outputs made with all of them.
-
-    Args:
-        said: Values of a record's metadata, or details of its checks.
     """
     texts = [text for text in said if isinstance(text, str)]
     return [name for name, words, find in _TOOLS if any(words in text for text in texts) and _is_there(find)]

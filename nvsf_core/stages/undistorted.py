@@ -113,10 +113,6 @@ def _undistort(
 def camera_of(camera: str, calibration: Mapping[str, Any]) -> tuple[Undistorter | None, Pinhole]:
     """The resampling of a fisheye's images (None for a camera without distortion), and the pinhole camera.
 
-    Args:
-        camera: Its name.
-        calibration: Its entry in `drive.json`, by the stage `frames`.
-
     Raises:
         CalibrationError: It is of neither kind.
     """

@@ -99,13 +99,7 @@ def damage_at_rest(store: SceneStore, version: Version, progress: Progress) -> s
 
 
 def make_anew(scene: SceneEntry, home: Path, version: Version, progress: Progress) -> bool:
-    """Make a damaged version again, if all that it was made from is still the same.
-
-    Args:
-        scene: The scene.
-        home: Folder of all outputs.
-        version: The version; another one of its view is never changed.
-        progress: Receives progress lines.
+    """Make a damaged version again, if all that it was made from is still the same; no other one is changed.
 
     Returns:
         Whether it is whole now. It cannot be made again if the model, the drive or the code has changed.

@@ -25,13 +25,7 @@ _LARGEST = 1e11
 
 
 def write_versions_page(folder: Path, home: Path, scenes: Sequence[str]) -> Path:
-    """Write the page into a folder; returns its path.
-
-    Args:
-        folder: Where the page is written.
-        home: NVSF_HOME.
-        scenes: Scenes to show, in this order.
-    """
+    """Write the page into a folder; returns its path."""
     facts = [one for scene in scenes for one in _facts_of(SceneStore(home, scene))]
     path = folder / VERSIONS_PAGE
     path.write_text(versions_html(facts), encoding="utf-8", errors="backslashreplace")

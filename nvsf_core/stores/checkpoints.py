@@ -102,10 +102,6 @@ class StoredWeights:
     def load_into(self, model: nn.Module, prefix: str, /) -> None:
         """Load the weights whose names begin with `prefix` into a network, whose names lack it.
 
-        Args:
-            model: A network of the trained size.
-            prefix: For example `lidar.`.
-
         Raises:
             StoreError: Names or shapes differ from the network's, or a weight is not finite.
         """

@@ -145,13 +145,7 @@ def _require_unpacked(path: Path) -> None:
 
 
 def read_fault(path: Path, error: Exception, damaged: str) -> DataError:
-    """Why a bag cannot be read: what the machine says, as that its disk is full; else that it is damaged.
-
-    Args:
-        path: The bag.
-        error: What was raised.
-        damaged: What to say and do of a damaged bag.
-    """
+    """Why a bag cannot be read: what the machine says, as that its disk is full; else that it is damaged."""
     if isinstance(error, DataError):
         return DataError(f"{path}: {error}")
     # A damaged bag may say to read where no file can be (EINVAL); the library's own errors have no number.

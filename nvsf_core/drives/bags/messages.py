@@ -36,10 +36,6 @@ def cloud_columns(message: Any, where: str) -> dict[str, np.ndarray]:
 
     Points without a return (NaN) are left out.
 
-    Args:
-        message: The message.
-        where: Topic and time, for messages.
-
     Raises:
         DataError: Its fields do not fit its bytes, or one of x, y, z is absent.
     """
@@ -95,11 +91,6 @@ def stamp_s(message: Any) -> float:
 
 def image_rgb(message: Any, where: str, decode: Any) -> np.ndarray:
     """Pixels (H, W, 3) uint8, red first, of an Image or a CompressedImage.
-
-    Args:
-        message: The message.
-        where: Topic and time, for messages.
-        decode: Decodes the bytes of a PNG or JPEG.
 
     Raises:
         DataError: It is of an encoding that is not read, or cut.

@@ -68,11 +68,6 @@ def rectified_place(index: BagIndex, topic: str, frame: str) -> np.ndarray:
     The identity where the fixed transforms hold `R` and `P` already: other cameras, or the pair's first, then
     lie from it where `P` says, with axes that are parallel.
 
-    Args:
-        index: The bag.
-        topic: The camera infos'.
-        frame: Of the image's message.
-
     Raises:
         CalibrationError: `R` or `P` is unphysical.
     """

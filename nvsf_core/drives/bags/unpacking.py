@@ -39,10 +39,6 @@ def bound_unpacking() -> None:
 def unpacked(decompressor: Callable[[], Any], data: bytes) -> bytes:
     """The unpacked bytes of one part, which may be several streams.
 
-    Args:
-        decompressor: Makes a decompressor of one stream.
-        data: The packed bytes.
-
     Raises:
         DataError: They become more than `_MOST_BYTES`, or end in the middle.
     """

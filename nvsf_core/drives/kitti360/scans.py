@@ -45,10 +45,6 @@ def read_scan_bytes(path: Path) -> bytes:
 def parse_scan(path: Path, data: bytes) -> Scan:
     """Validate and decode a scan.
 
-    Args:
-        path: The file, for messages.
-        data: Its bytes.
-
     Raises:
         DataError: It is truncated, has no returns, or more than 1 % of its points are absurd.
     """

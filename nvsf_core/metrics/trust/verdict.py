@@ -106,11 +106,7 @@ def score_of(cues: Mapping[str, float], sensor: str) -> float:
 
 
 def verdicts(means: Sequence[Mapping[str, Any]]) -> list[Verdict]:
-    """The verdicts on all views and sensors of one run.
-
-    Args:
-        means: Rows of `metrics.table.mean_rows` of one scene, recipe and seed; other protocols are ignored.
-    """
+    """The verdicts on all views and sensors of one run."""
     mine = [row for row in means if row["protocol"] == PROTOCOL]
     found = []
     for view, sensor in dict.fromkeys((row["split"], row["sensor"]) for row in mine):

@@ -217,11 +217,6 @@ def _candidates(
 def camera_renderer(recording: Recording, spec: CameraSpec, weights: Weights) -> ImageRenderer:
     """Renders images by learned depths for the cameras that use them, by `reproject` for the others.
 
-    Args:
-        recording: The drive.
-        spec: Of the recipe.
-        weights: The facts and depth maps of the trained part.
-
     Raises:
         StoreError: A depth map is absent.
     """

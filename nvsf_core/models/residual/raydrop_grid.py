@@ -55,14 +55,7 @@ def is_corrected(rendered: RenderedRays) -> np.ndarray:
 def hit_logits(
     network: CellNetwork, rays: SweepRays, rendered: RenderedRays, lookups: ScanLookups
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Logits (r,) float32 of a return for each ray of a sweep, by the network and by the ray head.
-
-    Args:
-        network: Trained.
-        rays: Of one sweep of the recording sensor.
-        rendered: By the field.
-        lookups: In the nearest training scans.
-    """
+    """Logits (r,) float32 of a return for each ray of a sweep, by the network and by the ray head."""
     cells = sweep_cells(rays, rendered, lookups)
     learned = cells.prior_logit + network.corrections(cells.features)[0]
     back = torch.empty_like(learned).scatter_(1, cells.column, learned).reshape(-1)

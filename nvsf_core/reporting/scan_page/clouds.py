@@ -53,10 +53,6 @@ def instants_of(root: Path, view: Path) -> list[Instant]:
     Synthetic points are compared with the recorded scan of the same frame if it was held out, else with the
     three recorded scans that are nearest; recorded points with the synthetic scan.
 
-    Args:
-        root: Folder of the scene.
-        view: Folder of the view, with `model.zarr` that has scans.
-
     Raises:
         StoreError: What is stored is damaged.
     """

@@ -23,13 +23,7 @@ _SCALES = {"intensity": ("dark", "bright"), "error": ("0", f"{FAR_M:g} m or more
 
 
 def scan_page(title: str, words: str, instants: Sequence[Instant]) -> str:
-    """The page, as HTML.
-
-    Args:
-        title: Its heading, as text.
-        words: What it shows, as text.
-        instants: At least one.
-    """
+    """The page, as HTML; `title` and `words` are text."""
     facts, points = _packed(instants)
     parts = {
         "TITLE": escape(title), "WORDS": escape(words), "SCRIPT": (_HERE / "page.js").read_text("utf-8"),

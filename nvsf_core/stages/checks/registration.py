@@ -133,9 +133,6 @@ def upright_check(
 def registration_check(arrays: Mapping[str, np.ndarray]) -> Check:
     """Register pairs of neighbouring scans by point-to-plane ICP, starting from their poses.
 
-    Args:
-        arrays: Arrays of `sweeps/returns.zarr`.
-
     Returns:
         A check that warns and never blocks, and names the frames that disagree. Without open3d its detail is
         "not run" and the package to install.

@@ -31,12 +31,7 @@ _NEVER = (
 
 
 def write_card(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Write `card.json` and `card.md` of a data set.
-
-    Args:
-        folder: Of the data set.
-        manifest: Its manifest's entries, without checksums.
-    """
+    """Write `card.json` and `card.md` of a data set."""
     card = card_of(manifest)
     (folder / JSON_NAME).write_text(json.dumps(card, indent=1, allow_nan=False), encoding="utf-8")
     (folder / MARKDOWN_NAME).write_text(_markdown(card), encoding="utf-8")

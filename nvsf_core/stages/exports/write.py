@@ -78,12 +78,7 @@ def write_data_set(
 
 
 def finish_data_set(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Write the card, then the manifest with the checksums of all other files.
-
-    Args:
-        folder: Folder of the data set, with all its files.
-        manifest: The manifest's entries, without checksums.
-    """
+    """Write the card, then the manifest with the checksums of all other files."""
     write_card(folder, manifest)
     write_manifest(folder, {**manifest, CHECKSUMS: file_checksums(folder)})
 

@@ -26,10 +26,6 @@ def found_path(source: AbstractPosedDrive, progress: Callable[[str], None]) -> t
 
     Frames whose scan cannot be read have no pose. The path starts at the origin, level as the sensor was.
 
-    Args:
-        source: The drive.
-        progress: Receives progress lines.
-
     Raises:
         DataError: Fewer than two scans can be read, or one has too few points.
         MissingLibraryError: KISS-ICP is not installed.

@@ -65,10 +65,6 @@ class Comparison:
 def compared(place: StagePlace, hashes: FileHashes) -> Comparison:
     """Compare what a published output was made from with what is there now; its own files are not read.
 
-    Args:
-        place: The stage and its scene.
-        hashes: Of the recorded files.
-
     Raises:
         StoreError: An input was never published.
         DataError: A recorded file cannot be read.
@@ -106,10 +102,6 @@ class DamagedInputError(StoreError):
 def skipped_stage(place: StagePlace, progress: Progress) -> Outcome | None:
     """The outcome of a stage whose output is up to date and as it was published; None if it must be made.
 
-    Args:
-        place: The stage, its scene and its store.
-        progress: Receives progress lines.
-
     Raises:
         StoreError: An input was never published.
         DamagedInputError: The record of an input cannot be read.
@@ -133,10 +125,6 @@ def run_stage(place: StagePlace, progress: Progress) -> Outcome:
     """Make a stage's output, unless it is up to date and as it was published.
 
     Input files are compared with their checksums first, so that damaged data are never used.
-
-    Args:
-        place: The stage, its scene and its store.
-        progress: Receives progress lines.
 
     Raises:
         DamagedInputError: The files of an input have changed since it was published.

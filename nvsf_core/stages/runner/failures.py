@@ -43,12 +43,7 @@ def _name(stage: str) -> str:
 
 
 def remembered_failures(home: Path, stages: Iterable[str]) -> dict[str, str]:
-    """Scene to the failures of its stages since they last succeeded, in words; by name.
-
-    Args:
-        home: NVSF_HOME.
-        stages: Names of the stages, in the order of the flow.
-    """
+    """Scene to the failures of its stages since they last succeeded, in words; by name."""
     order = {name: rank for rank, name in enumerate(stages)}
     found: dict[str, str] = {}
     scenes = sorted(home.iterdir()) if home.is_dir() else []

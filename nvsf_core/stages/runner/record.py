@@ -51,12 +51,6 @@ def listed_files(
     """Folder to file to size and checksum, for all files of an output except its previews.
 
     No stage reads previews, so none is repeated because one is missing.
-
-    Args:
-        store: The scene's store.
-        folder: The output's own folder, about to be published.
-        previews: Files in it that are pictures for the UI.
-        beside: Outputs published beside it, by their place below the scene's folder.
     """
     own = file_checksums(folder, frozenset({RECORD_NAME, *previews}))
     return {_OWN: own, **{place: _beside(store, place) for place in beside}}

@@ -20,13 +20,7 @@ def trained_fields(scene_root: Path) -> list[tuple[str, int]]:
 def newest_field(
     scene_root: Path, recipe: str | None = None, seed: int | None = None
 ) -> tuple[str, int] | None:
-    """Recipe and seed of the scene's latest published field; None if there is no readable one.
-
-    Args:
-        scene_root: The scene's folder.
-        recipe: Name of a recipe; None = any.
-        seed: Of training; None = any.
-    """
+    """Recipe and seed of the scene's latest published field, of those asked for; None if none is readable."""
     fields = [
         one for one in trained_fields(scene_root) if recipe in (None, one[0]) and seed in (None, one[1])
     ]
@@ -34,12 +28,7 @@ def newest_field(
 
 
 def newest_scene(home: Path, scenes: Iterable[str]) -> str | None:
-    """Name of the scene whose field was published last; None if none has one.
-
-    Args:
-        home: Folder of all outputs.
-        scenes: Names of scenes.
-    """
+    """Name of the scene whose field was published last; None if none has one."""
     newest = {name: newest_field(home / name) for name in scenes}
     made = {name: made_s(home / name / "field" / one[0] / str(one[1])) for name, one in newest.items() if one}
     return max(made, key=lambda name: made[name], default=None)

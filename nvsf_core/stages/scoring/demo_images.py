@@ -25,14 +25,7 @@ from nvsf_core.stores.documents import read_document
 
 
 def demo_images(task: Task, path: Path, view: ViewEntry, truth: DemoTruth) -> Iterator[TrueImages]:
-    """The true images of a view of the demo, camera by camera.
-
-    Args:
-        task: Task of the stage, for the drive's calibration and for progress.
-        path: Zarr group of the model's view, for its instants and cameras.
-        view: The view's entry in the catalogue.
-        truth: Exact truth of the drive.
-    """
+    """The true images of a view of the demo, camera by camera."""
     calibrations = read_document(task.store.require("frames") / "drive.json")["cameras"]
     images = task.store.require("undistorted") / "images.zarr"
     plan = stored_plan(path)

@@ -121,12 +121,6 @@ def _gap_m(
 def measure_demo_view(path: Path, view: ViewEntry, truth: DemoTruth, ledger: Ledger) -> Iterator[str]:
     """Add the rows of one view of the demo; yields progress after each sweep.
 
-    Args:
-        path: Zarr group of one method's view.
-        view: The view's entry in the catalogue.
-        truth: Exact truth of the drive.
-        ledger: Receives the rows.
-
     Raises:
         StoreError: The stored rays are not those that the view's sensor fires.
     """

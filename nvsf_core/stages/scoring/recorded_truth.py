@@ -24,11 +24,6 @@ def recorded_truth(task: Task, path: Path, view: ViewEntry) -> Iterator[TrueImag
     They are undistorted as their camera's recorded images are. A file's number is that of the frame at whose
     time the view's sensors are: on a path of its own, this is not the recorded frame nearest in place.
 
-    Args:
-        task: Task of the stage, for the drive's calibration and for progress.
-        path: Zarr group of the model's view, for its instants and cameras.
-        view: The view's entry in the catalogue.
-
     Raises:
         DataError: A folder or a file is absent, or is no image of its camera's size.
     """

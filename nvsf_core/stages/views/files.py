@@ -189,13 +189,9 @@ def _describe_scans(output: StageOutput, view: str, folder: Path, arrays: dict[s
 
 
 def file_numbers(arrays: Mapping[str, np.ndarray], camera: str = "") -> list[int]:
-    """File numbers of a view's scans, or of a camera's images.
+    """File numbers of a view's scans, or of the images of a camera where one is named.
 
     They are those of the frames; or counted from 0, between frames or where two instants share one.
-
-    Args:
-        arrays: Of the view.
-        camera: Name; empty = of the scans.
     """
     frame = arrays[f"{camera}_frame" if camera else "frame"]
     # A held-out frame may lack an image, or its scan: then the camera's own frames are the numbers.

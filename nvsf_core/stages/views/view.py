@@ -150,12 +150,7 @@ def plan_attrs(plan: ViewPlan) -> dict[str, Any]:
 
 
 def stored_plan(path: Path, attrs: Mapping[str, Any] | None = None) -> ViewPlan:
-    """The plan of a stored view; its path is in the world.
-
-    Args:
-        path: Zarr group of one method's view.
-        attrs: Its attributes, if they are known.
-    """
+    """The plan of a stored view; its path is in the world."""
     attrs = read_attrs(path) if attrs is None else attrs
     a = read_arrays(path, "frame", "time_s", "path_time_s")
     own = None

@@ -27,10 +27,6 @@ def odometry_errors(path: Path, sweeps: Sweeps) -> tuple[Measure, Measure]:
     """Median error of a step of KISS-ICP's path over a view's scans, and over the recorded ones beside them.
 
     Both are absent, with the reason, where KISS-ICP is not installed, or the view has no consecutive scans.
-
-    Args:
-        path: Zarr group of the model's view.
-        sweeps: The recorded scans.
     """
     a = read_arrays(path, "frame", "path_time_s", "offsets", "points_m", "lidar_to_world")
     step_s = float(np.median(np.diff(sweeps.arrays["time_s"]))) if sweeps.count > 1 else np.inf

@@ -37,12 +37,7 @@ class RecordedSensor:
 
 
 def recorded_sensors(task: Task, paths: Sequence[Path]) -> list[RecordedSensor]:
-    """The drive's sensors whose views can be compared with what they recorded.
-
-    Args:
-        task: Task of the stage.
-        paths: Zarr groups of the model's views; what none of them shows is not read.
-    """
+    """The drive's sensors whose views can be compared; what none of the model's views shows is not read."""
     found = list[RecordedSensor]()
     scans = read_training_scans(task) if any(shows(path, LIDAR) for path in paths) else None
     if scans is not None:
@@ -72,13 +67,7 @@ def shows(path: Path, sensor: str) -> bool:
 
 
 def measure_trust(path: Path, sensor: RecordedSensor, ledger: Ledger) -> Iterator[str]:
-    """Add the rows of one sensor of a view; yields progress after each scan or image.
-
-    Args:
-        path: Zarr group of the model's view.
-        sensor: The sensor, and what it recorded.
-        ledger: Receives the rows.
-    """
+    """Add the rows of one sensor of a view; yields progress after each scan or image."""
     view, first = path.parent.name, -1
     cues_of_kind = SCAN_CUES if sensor.name == LIDAR else IMAGE_CUES
     wanted = [SCORE, GUESSED, *(cue.name for cue in cues_of_kind if cue != ODOMETRY)]
