@@ -5,7 +5,6 @@ import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Self
 
@@ -19,26 +18,19 @@ from nvsf_core.demo.world import DemoWorld
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.scans import write_scan
 from nvsf_core.drives.kitti360.writer import (
-    RectifiedCamera,
     WrittenBox,
     write_boxes,
-    write_cam_to_pose,
-    write_fisheye,
+    write_calibration,
     write_frame_poses,
     write_image,
-    write_perspective,
-    write_pose,
-    write_timestamps,
+    write_times,
 )
 from nvsf_core.errors import DataError
-from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.stores.writers import leftovers, temporary_of
 
 DEMO_SEQUENCE = "2013_05_28_drive_9900_sync"
 """A number that KITTI-360 does not have."""
-_START = datetime.fromisoformat("2013-05-28 08:00:00")
-"""Without a time zone, as KITTI-360's files are."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,9 +111,11 @@ def write_demo(
         layout = DriveLayout(part, DEMO_SEQUENCE)
         world = DemoWorld(seed, speed=speed, traffic=traffic)
         cameras = _cameras(size)
-        _write_calibration(layout, cameras)
+        to_pose = {camera.name: camera.camera_to_pose for camera in cameras}
+        cam0_to_lidar = invert_pose(LIDAR_TO_POSE) @ cameras[0].camera_to_pose
+        write_calibration(layout, {camera.name: camera.model for camera in cameras}, to_pose, cam0_to_lidar)
         _write_poses(layout, world, cameras[0], size.frames)
-        _write_times(layout, cameras, size.frames)
+        write_times(layout, to_pose, np.arange(size.frames) * FRAME_PERIOD_S, FRAME_PERIOD_S)
         write_boxes(layout.boxes_path("train"), _boxes(world, size.frames))
         _write_frames(layout, world, cameras, size, progress)
         part.rename(root)
@@ -142,30 +136,10 @@ def _cameras(size: DemoSize) -> list[DemoCamera]:
     return [*cameras, demo_camera("image_02", side, side)] if side else cameras
 
 
-def _write_calibration(layout: DriveLayout, cameras: list[DemoCamera]) -> None:
-    write_perspective(
-        layout.perspective_path,
-        {camera.name: camera.model for camera in cameras if isinstance(camera.model, RectifiedCamera)},
-    )
-    for camera in cameras:
-        if isinstance(camera.model, MeiFisheye):
-            write_fisheye(layout.fisheye_path(camera.name), camera.name, camera.model)
-    write_cam_to_pose(layout.cam_to_pose_path, {camera.name: camera.camera_to_pose for camera in cameras})
-    write_pose(layout.cam_to_velo_path, invert_pose(LIDAR_TO_POSE) @ cameras[0].camera_to_pose)
-
-
 def _write_poses(layout: DriveLayout, world: DemoWorld, camera: DemoCamera, frames: int) -> None:
     pose_to_world = world.lidar_to_world(np.arange(frames) * FRAME_PERIOD_S) @ invert_pose(LIDAR_TO_POSE)
     write_frame_poses(layout.poses_path, range(frames), pose_to_world, rows=3)
     write_frame_poses(layout.cam0_to_world_path, range(frames), pose_to_world @ camera.image_to_pose, rows=4)
-
-
-def _write_times(layout: DriveLayout, cameras: list[DemoCamera], frames: int) -> None:
-    instants = np.arange(frames) * FRAME_PERIOD_S
-    for kind, shift in (("", 0.0), ("start", -0.5 * FRAME_PERIOD_S), ("end", 0.5 * FRAME_PERIOD_S)):
-        write_timestamps(layout.timestamps_path(kind), _START, (instants + shift).tolist())
-    for camera in cameras:
-        write_timestamps(layout.camera_timestamps_path(camera.name), _START, instants.tolist())
 
 
 def _boxes(world: DemoWorld, frames: int) -> list[WrittenBox]:

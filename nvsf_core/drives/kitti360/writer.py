@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from nvsf_core.drives.kitti360.boxes import number_in_boxes
-from nvsf_core.drives.kitti360.layout import CAMERAS
+from nvsf_core.drives.kitti360.layout import CAMERAS, FISHEYE_CAMERAS, DriveLayout
 from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
@@ -26,6 +26,8 @@ _CUBE_FACES = "0 1 3 0 3 2 5 4 6 5 6 7 0 5 4 0 4 1 2 3 6 2 6 7 0 2 7 0 7 5 1 4 6
 MOST_LINES_BEFORE = 100_000
 """Of timestamps, for frames before a section: several times those of KITTI-360's longest drive. Of a section
 that begins later only its own lines are written, as of a drive that was cut out of a longer one."""
+START = datetime.fromisoformat("2013-05-28 08:00:00")
+"""Date of a written drive's second 0: the layout needs one. Without a time zone, as KITTI-360's files are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +154,39 @@ def _write_png(path: Path, pixels: np.ndarray) -> None:
     # Level 1: images are written once and read often, and higher levels hardly compress smooth ones more.
     if not cv2.imwrite(str(path), pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
         raise DataError(f"expected to write {path}, found that the disk refuses it; check space and rights")
+
+
+def write_calibration(
+    layout: DriveLayout,
+    models: Mapping[str, RectifiedCamera | Pinhole | MeiFisheye],
+    to_pose: Mapping[str, np.ndarray],
+    cam0_to_lidar: np.ndarray,
+) -> None:
+    """Write the intrinsics and mountings (4, 4) of a drive's cameras, by their names in the layout.
+
+    A pinhole in the place of a fisheye is written as a fisheye without distortion.
+    """
+    perspective = {}
+    for name, model in models.items():
+        if name in FISHEYE_CAMERAS:
+            assert not isinstance(model, RectifiedCamera), "rectified cameras have the places of such"
+            fisheye = flat_fisheye(model) if isinstance(model, Pinhole) else model
+            write_fisheye(layout.fisheye_path(name), name, fisheye)
+        else:
+            assert not isinstance(model, MeiFisheye), "fisheyes have the places of fisheyes"
+            perspective[name] = RectifiedCamera.of(model) if isinstance(model, Pinhole) else model
+    if perspective:
+        write_perspective(layout.perspective_path, perspective)
+    write_cam_to_pose(layout.cam_to_pose_path, to_pose)
+    write_pose(layout.cam_to_velo_path, cam0_to_lidar)
+
+
+def write_times(layout: DriveLayout, cameras: Iterable[str], time_s: np.ndarray, sweep_s: float) -> None:
+    """Write the times (n,) of the frames from frame 0, of the scans' begins and ends, and of the cameras."""
+    for kind, shift_s in (("", 0.0), ("start", -0.5 * sweep_s), ("end", 0.5 * sweep_s)):
+        write_timestamps(layout.timestamps_path(kind), START, (time_s + shift_s).tolist())
+    for camera in cameras:
+        write_timestamps(layout.camera_timestamps_path(camera), START, time_s.tolist())
 
 
 def write_frame_poses(path: Path, frames: Sequence[int], poses: np.ndarray, rows: int) -> None:

@@ -7,28 +7,22 @@ layout.
 """
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from nvsf_core.drives.kitti360.boxes import class_of, number_in_boxes
-from nvsf_core.drives.kitti360.layout import CAMERAS, PERSPECTIVE_CAMERAS, DriveLayout
+from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.scans import write_scan
 from nvsf_core.drives.kitti360.writer import (
     MOST_LINES_BEFORE,
-    RectifiedCamera,
     WrittenBox,
-    flat_fisheye,
     write_boxes,
-    write_cam_to_pose,
-    write_fisheye,
+    write_calibration,
     write_frame_poses,
     write_image,
     write_numbers,
-    write_perspective,
-    write_pose,
-    write_timestamps,
+    write_times,
 )
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.pinhole import Pinhole
@@ -36,8 +30,6 @@ from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet
 
 FOLDER = "kitti360"
-START = datetime(2013, 5, 28, 8, 0, 0)
-"""Date of a data set's second 0: the layout needs one, the drives' own is not kept."""
 _LIDAR_TO_POSE = np.diag([1.0, -1.0, -1.0, 1.0])
 """The pose frame (x forward, y right, z down) lies in the LiDAR."""
 
@@ -63,11 +55,7 @@ def write_kitti360(folder: Path, data: DataSet) -> None:
         camera_to_world = data.lidar_to_world @ cameras["image_00"].in_lidar
         write_frame_poses(layout.cam0_to_world_path, data.numbers, camera_to_world, rows=4)
     stamps = _stamps_from_0(data.numbers, data.stamp_s, data.sweep_period_s)
-    half_s = 0.5 * data.sweep_period_s
-    for kind, shift_s in (("", 0.0), ("start", -half_s), ("end", half_s)):
-        write_timestamps(layout.timestamps_path(kind), START, (stamps + shift_s).tolist())
-    for name in cameras:
-        write_timestamps(layout.camera_timestamps_path(name), START, stamps.tolist())
+    write_times(layout, cameras, stamps, data.sweep_period_s)
     boxes = [data.boxes(index) for index in range(len(data.numbers))]
     objects = object_numbers({one.object_id: one.label for there in boxes for one in there})
     write_boxes(layout.boxes_path("train"), _written(data, boxes, objects))
@@ -89,23 +77,16 @@ def write_kitti360(folder: Path, data: DataSet) -> None:
 
 
 def _write_calibration(layout: DriveLayout, cameras: dict[str, CameraRecord]) -> None:
-    perspective = {}
-    for name, camera in cameras.items():
-        model = camera.model
-        assert isinstance(model, Pinhole), "images of recorded cameras are undistorted"
-        if name in PERSPECTIVE_CAMERAS:
-            perspective[name] = RectifiedCamera.of(model)
-        else:
-            write_fisheye(layout.fisheye_path(name), name, flat_fisheye(model))
-    if perspective:
-        write_perspective(layout.perspective_path, perspective)
     in_lidar = {name: camera.in_lidar for name, camera in cameras.items()}
     # The LiDAR's mounting is given by that of camera 0, so without images one is assumed in its place.
-    known = {"image_00": invert_pose(_LIDAR_TO_POSE)} if "image_00" not in in_lidar else {}
-    write_cam_to_pose(
-        layout.cam_to_pose_path, {name: _LIDAR_TO_POSE @ pose for name, pose in {**known, **in_lidar}.items()}
+    if "image_00" not in in_lidar:
+        in_lidar = {"image_00": invert_pose(_LIDAR_TO_POSE), **in_lidar}
+    to_pose = {name: _LIDAR_TO_POSE @ pose for name, pose in in_lidar.items()}
+    models = {name: camera.model for name, camera in cameras.items()}
+    assert all(isinstance(one, Pinhole) for one in models.values()), (
+        "images of recorded cameras are undistorted"
     )
-    write_pose(layout.cam_to_velo_path, {**known, **in_lidar}["image_00"])
+    write_calibration(layout, models, to_pose, in_lidar["image_00"])
 
 
 def _stamps_from_0(numbers: Sequence[int], stamp_s: np.ndarray, period_s: float) -> np.ndarray:

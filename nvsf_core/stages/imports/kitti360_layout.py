@@ -5,7 +5,6 @@ is lost is said.
 """
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 
@@ -19,26 +18,18 @@ from nvsf_core.drives.kitti360.layout import CAMERAS, FISHEYE_CAMERAS, PERSPECTI
 from nvsf_core.drives.kitti360.scans import Scan, write_scan
 from nvsf_core.drives.kitti360.writer import (
     MOST_LINES_BEFORE,
-    RectifiedCamera,
     WrittenBox,
-    flat_fisheye,
     write_boxes,
-    write_cam_to_pose,
-    write_fisheye,
+    write_calibration,
     write_frame_poses,
     write_image,
-    write_perspective,
-    write_pose,
-    write_timestamps,
+    write_times,
 )
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.stages.exports.kitti360 import object_numbers
 from nvsf_core.stages.imports.target import AbstractTarget
-
-START = datetime(2013, 5, 28, 8, 0, 0)
-"""Date of frame 0: the layout needs one, and other formats' clocks have none."""
 
 _LEAST_DELAY_S = 1e-4
 """Of an image from its frame, for it to be a loss: at 30 m/s it is 3 mm."""
@@ -84,7 +75,11 @@ class Kitti360Target(AbstractTarget):
         layout, facts = self._layout, self.facts
         own = facts.calibration.cameras
         cameras = {there: own[here] for here, there in self._names.items()}
-        self._write_calibration(layout, cameras)
+        lidar_to_pose = facts.calibration.lidar_to_pose
+        # The LiDAR's mounting is given by that of camera 0, so without images one is assumed in its place.
+        to_pose = {"image_00": lidar_to_pose} | {name: camera.to_pose for name, camera in cameras.items()}
+        models = {name: camera.intrinsics for name, camera in cameras.items()}
+        write_calibration(layout, models, to_pose, invert_pose(lidar_to_pose) @ to_pose["image_00"])
         posed = sorted(facts.poses)
         poses = np.array([facts.poses[frame] for frame in posed]).reshape(-1, 4, 4)
         write_frame_poses(layout.poses_path, posed, poses, rows=3)
@@ -96,9 +91,7 @@ class Kitti360Target(AbstractTarget):
         own_s = first * sweep_s + facts.times.time_s
         stamps = np.concatenate([sweep_s * np.arange(before), own_s])
         # Scans of one instant begin when they end: so they are known when the tree is read.
-        half_s = 0.5 * sweep_s if self.scene.is_to_compensate else 0.0
-        for kind, shift_s in (("", 0.0), ("start", -half_s), ("end", half_s)):
-            write_timestamps(layout.timestamps_path(kind), START, (stamps + shift_s).tolist())
+        write_times(layout, (), stamps, sweep_s if self.scene.is_to_compensate else 0.0)
         self._write_boxes(boxes)
         self.left_out += self._losses()
         self.notes += self._renames()
@@ -154,25 +147,6 @@ class Kitti360Target(AbstractTarget):
             for what, count in self._scans_with.items() if count
         ]  # fmt: skip
         return [f"{words}; --layout plain keeps this" for words in lost]
-
-    def _write_calibration(self, layout: DriveLayout, cameras: Mapping[str, CameraCalibration]) -> None:
-        perspective = {}
-        for name, camera in cameras.items():
-            model = camera.intrinsics
-            if name in FISHEYE_CAMERAS:
-                fisheye = flat_fisheye(model) if isinstance(model, Pinhole) else model
-                write_fisheye(layout.fisheye_path(name), name, fisheye)
-            else:
-                assert isinstance(model, Pinhole), "fisheyes have the places of fisheyes"
-                perspective[name] = RectifiedCamera.of(model)
-        if perspective:
-            write_perspective(layout.perspective_path, perspective)
-        lidar_to_pose = self.facts.calibration.lidar_to_pose
-        to_pose = {name: camera.to_pose for name, camera in cameras.items()}
-        # The LiDAR's mounting is given by that of camera 0, so without images one is assumed in its place.
-        to_pose = {"image_00": lidar_to_pose, **to_pose}
-        write_cam_to_pose(layout.cam_to_pose_path, to_pose)
-        write_pose(layout.cam_to_velo_path, invert_pose(lidar_to_pose) @ to_pose["image_00"])
 
     def catalogue_lines(self) -> list[str]:
         """Sequence and period."""
