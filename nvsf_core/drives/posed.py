@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.drives.drive import AbstractDrive, DriveFacts
+from nvsf_core.drives.drive import AbstractDrive, DriveFacts, Recorded
 from nvsf_core.drives.kitti360.calibration import Calibration
 from nvsf_core.drives.kitti360.frames import (
     NOMINAL_PERIOD_S,
@@ -100,12 +100,21 @@ class AbstractPosedDrive(AbstractDrive):
         """Name of the LiDAR's table as the drive says; empty = it does not."""
 
     @abstractmethod
+    def _decoded(self, found: Recorded) -> Scan:
+        """The scan with times after its stamp."""
+
     def decode_scan(self, frame: int) -> Scan | None:
         """A frame's scan with times after its stamp; None if there is none.
 
         Raises:
             DataError: It cannot be read.
         """
+        found = self.find_scan(frame)
+        return None if found is None else self._decoded(found)
+
+    def parse_scan(self, found: Recorded) -> Scan:
+        """Validate and decode a scan: points, intensity, ring and time after the frame's instant."""
+        return self.centred(self._decoded(found))
 
     def image_seconds(self, camera: str) -> dict[int, float]:
         """Time of each image of a camera, by frame; empty = the frames' own, as they are recorded."""

@@ -293,15 +293,6 @@ class BagDrive(AbstractPosedDrive):
                 most = max(most, float(np.percentile(shine.astype(np.float64), 99.9)))
         return next((one for one in _BRIGHTEST if most <= one), most)
 
-    def decode_scan(self, frame: int) -> Scan | None:
-        """A frame's scan with times after its stamp."""
-        found = self.find_scan(frame)
-        return None if found is None else self._decoded(found)
-
-    def parse_scan(self, found: Recorded) -> Scan:
-        """Decode points, intensity, ring and time."""
-        return self.centred(self._decoded(found))
-
     def parse_image(self, camera: str, found: Recorded, width: int, height: int) -> np.ndarray:
         """Decode an image and take out the distortion that the flow has no model of."""
         message = self._message(found, IMAGES)

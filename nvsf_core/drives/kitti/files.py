@@ -132,14 +132,9 @@ class AbstractKittiDrive(AbstractPosedDrive):
         path = self.scan_files.get(frame)
         return None if path is None else Recorded(path, read_scan_bytes(path))
 
-    def parse_scan(self, found: Recorded) -> Scan:
-        """Decode float32 x, y, z, reflectance."""
+    def _decoded(self, found: Recorded) -> Scan:
+        """Float32 x, y, z, reflectance; its points have no times."""
         return parse_scan(found.path, found.data)
-
-    def decode_scan(self, frame: int) -> Scan | None:
-        """A frame's scan; its points have no times."""
-        found = self.find_scan(frame)
-        return None if found is None else self.parse_scan(found)
 
     def find_image(self, camera: str, frame: int, width: int, height: int) -> Recorded | None:
         """The bytes of a PNG or JPEG."""

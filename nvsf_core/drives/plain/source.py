@@ -179,15 +179,6 @@ class PlainDrive(AbstractPosedDrive):
         )  # fmt: skip
         return Recorded(path, data, beside)
 
-    def parse_scan(self, found: Recorded) -> Scan:
-        """Decode points, intensity, ring and time."""
-        return self.centred(self._decoded(found))
-
-    def decode_scan(self, frame: int) -> Scan | None:
-        """A frame's scan with times after its stamp."""
-        found = self.find_scan(frame)
-        return None if found is None else self._decoded(found)
-
     def _decoded(self, found: Recorded) -> Scan:
         kind = found.path.suffix.lower()
         read = {".bin": read_bin, ".ply": read_ply, ".pcd": read_pcd}[kind]
