@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from benchmarks.common.stored import Row
-from nvsf_core.metrics.table import BASELINES, HELD_OUT
+from nvsf_core.metrics.table import BASELINES, HELD_OUT, method_rank
 
 LOWER, HIGHER = "↓", "↑"
 """Which way is better."""
@@ -97,7 +97,7 @@ def by_method(rows: Iterable[Row]) -> dict[tuple[str, str], Measured]:
 
 def rank(method: str) -> tuple[int, str]:
     """Models by name, then the baselines in their own order."""
-    return (1 + BASELINES.index(method) if method in BASELINES else 0, method)
+    return method_rank(method), method
 
 
 def error_of(row: Row, protocol: str, metric: str, split: str = HELD_OUT) -> float | None:

@@ -123,7 +123,7 @@ def _block(key: tuple[str, ...], rows: Sequence[dict[str, Any]]) -> str:
     found = {row["metric"] for row in rows if row["n_defined"]} or {row["metric"] for row in rows}
     metrics = [metric for metric in HEADLINES[protocol] if metric in found]
     methods = sorted(
-        {(row["recipe"], row["seed"]) for row in rows}, key=lambda method: (_rank(method[0]), method)
+        {(row["recipe"], row["seed"]) for row in rows}, key=lambda method: (method_rank(method[0]), method)
     )
     lines = [["method", *(_SHORT[metric] for metric in metrics), "train s", "render s/frame"]]
     for recipe, seed in methods:
@@ -143,7 +143,8 @@ def _block(key: tuple[str, ...], rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(text)
 
 
-def _rank(recipe: str) -> int:
+def method_rank(recipe: str) -> int:
+    """Place of a method in tables: models first, then the baselines in their own order."""
     return 1 + BASELINES.index(recipe) if recipe in BASELINES else 0
 
 

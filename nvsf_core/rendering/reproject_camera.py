@@ -158,28 +158,15 @@ def nearest_sources(target_pose: np.ndarray, source_poses: np.ndarray, most: int
     return [int(i) for i in np.argsort(distances + _FARTHER_M * looks_back, kind="stable")[:most]]
 
 
-def view_depth(
-    target_pose: np.ndarray, pinhole: Pinhole, depth_points_local: np.ndarray
+def filled_depth(
+    pose: np.ndarray, pinhole: Pinhole, points_m: np.ndarray, sparse: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Depth of every pixel of a view, from points.
-
-    Args:
-        target_pose: (4, 4) camera to scene-local frame, of the view.
-        pinhole: Intrinsics of the view.
-        depth_points_local: (M, 3) float32, scene-local, metres; M may be 0.
+    """Depth of every pixel of a view, from that (H, W) of the points (m, 3) that it shows, inf between them.
 
     Returns:
         `depth_m` (H, W) float32 along z, positive and finite: that of the visible point nearest in the image;
         and `gap_px` (H, W) float32, the distance to it, inf if no point is visible.
     """
-    seen = splat_points(target_pose, pinhole, depth_points_local)
-    return filled_depth(target_pose, pinhole, depth_points_local, seen)
-
-
-def filled_depth(
-    pose: np.ndarray, pinhole: Pinhole, points_m: np.ndarray, sparse: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """As `view_depth`, from the depth (H, W) float32 of the points that a view shows, inf between them."""
     known = np.isfinite(sparse)
     if not known.any():
         return np.full(sparse.shape, FAR_M, np.float32), np.full(sparse.shape, np.inf, np.float32)

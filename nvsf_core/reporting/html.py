@@ -62,7 +62,8 @@ pre { white-space:pre-wrap; overflow-wrap:anywhere; margin:4px 0; font-size:13px
 """
 
 _UP = ("f_score", "psnr", "ssim", "accuracy")
-_UNITS = {"m2": "m²", "1": "", "m": "m", "dB": "dB"}
+UNITS = {"m2": "m²", "1": "", "m": "m", "dB": "dB"}
+"""Stored units as they are printed, where they differ; empty for a bare number."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,11 +191,6 @@ def best_rows(column: Column) -> set[int]:
 def higher_is_better(metric: str) -> bool:
     """Whether larger values of a metric are better, by its name."""
     return any(word in metric for word in _UP)
-
-
-def unit_text(unit: str) -> str:
-    """A stored unit as it is printed; empty for a bare number."""
-    return _UNITS.get(unit, unit)
 
 
 def _title(column: Column) -> str:

@@ -1,7 +1,5 @@
 """What a run was measured against: whether its errors, and those of its views, compare with another run's."""
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +7,7 @@ from typing import Any
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.metrics.trust.cues import PROTOCOL as TRUST
 from nvsf_core.reporting.stage_record import StageRecord, record_of
+from nvsf_core.stores.checksums import json_digest
 
 _RECORDED = ("frames", "sweeps", "undistorted")
 """Inputs of `scene_metrics` that hold what was recorded: which frames are held out, and their truth."""
@@ -65,5 +64,4 @@ def _asked(metrics: StageRecord | None, views: StageRecord | None) -> dict[str, 
 def _digest(asked: Mapping[str, Any] | None, truth: Any, frames: set[int]) -> str:
     """SHA-256; the true images that the catalogue names decide only what is measured against them."""
     names_truth = asked is None or "truth" in asked
-    facts = {"asked": asked, "truth": truth if names_truth else None, "frames": sorted(frames)}
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+    return json_digest({"asked": asked, "truth": truth if names_truth else None, "frames": sorted(frames)})

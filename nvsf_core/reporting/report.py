@@ -10,7 +10,7 @@ from nvsf_core.metrics.table import BASELINES
 from nvsf_core.reporting import plots
 from nvsf_core.reporting.checks import checks_section
 from nvsf_core.reporting.error_cloud import error_cloud_figure
-from nvsf_core.reporting.html import escape, figure, number, page, plain_table, plot
+from nvsf_core.reporting.html import escape, figure, methods_table, number, page, plain_table, plot
 from nvsf_core.reporting.scene_notes import evidence_table, holds_paper_scene, not_run
 from nvsf_core.reporting.scene_outputs import FieldRun, SceneOutputs, mean_of, method_rows
 from nvsf_core.reporting.tables import (
@@ -19,7 +19,6 @@ from nvsf_core.reporting.tables import (
     Row,
     full_tables,
     headline_columns,
-    headline_table,
     methods_of,
     over_seeds,
     wins,
@@ -47,7 +46,7 @@ def report_html(scenes: Sequence[SceneOutputs], no_data: Sequence[str], more: st
     measured = [scene for scene in scenes if scene.runs]
     parts = [
         _title(scenes),
-        _results(measured),
+        *(f"<b>{escape(scene.name)}</b>{_verdict(method_rows(scene))}" for scene in measured),
         _intro(),
         _summary(scenes, measured, no_data),
         _how_to_read(),
@@ -84,11 +83,6 @@ def _title(scenes: Sequence[SceneOutputs]) -> str:
     shown = "".join(f'<a href="#{escape(place)}">{escape(words)}</a>' for place, words in links)
     shown += '<a href="versions.html">Versions of the data sets</a>'
     return f"<h1>Benchmark report</h1><nav>{shown}</nav>"
-
-
-def _results(measured: Sequence[SceneOutputs]) -> str:
-    """One line a scene: what its best model gained."""
-    return "".join(f"<b>{escape(scene.name)}</b>{_verdict(method_rows(scene))}" for scene in measured)
 
 
 def _intro() -> str:
@@ -258,7 +252,7 @@ def _scene(scene: SceneOutputs) -> str:
         _verdict(rows),
         _data_sets(scene),
         "<h3>Error beside time</h3>",
-        headline_table(rows),
+        methods_table(methods_of(rows), headline_columns(rows)),
         not_run(scene),
         _provenance(scene),
         _cost_plot(rows),

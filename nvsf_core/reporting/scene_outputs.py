@@ -159,7 +159,8 @@ def collect_scene(
                 other_views=against.other_views(newest),
             )
         )
-    return SceneOutputs(name=name, records=list(records), runs=runs, proven=_proven(records), failure=failure)
+    proven = next((dict(record.metadata) for record in records if record.stage == "evidence"), {})
+    return SceneOutputs(name=name, records=list(records), runs=runs, proven=proven, failure=failure)
 
 
 def method_rows(scene: SceneOutputs) -> list[dict[str, Any]]:
@@ -192,10 +193,6 @@ def _measured_s(table: Path, records: Sequence[StageRecord]) -> float:
     record = record_of(records, "scene_metrics", *table.parts[-3:-1])
     known = None if record is None else record.made_s
     return table.stat().st_mtime if known is None else known
-
-
-def _proven(records: Sequence[StageRecord]) -> dict[str, Any]:
-    return next((dict(record.metadata) for record in records if record.stage == "evidence"), {})
 
 
 def _pictures(root: Path, recipe: str, seed: str) -> list[ViewPictures]:

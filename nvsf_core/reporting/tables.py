@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from nvsf_core.metrics.table import BASELINES, HELD_OUT
+from nvsf_core.metrics.table import HELD_OUT, method_rank
 from nvsf_core.metrics.trust.cues import PROTOCOL
-from nvsf_core.reporting.html import Column, best_rows, higher_is_better, methods_table, unit_text
+from nvsf_core.reporting.html import UNITS, Column, best_rows, higher_is_better, methods_table
 from nvsf_core.reporting.scene_outputs import mean_of
 
 HEADLINES = (
@@ -59,7 +59,7 @@ Row = dict[str, Any]
 def methods_of(rows: Sequence[Row]) -> list[tuple[str, str, bool]]:
     """Name, description and whether it is trained, of each method in the rows: models first."""
     found = {row["method"]: row for row in rows}
-    order = sorted(found.values(), key=lambda row: (_rank(row["recipe"]), row["method"]))
+    order = sorted(found.values(), key=lambda row: (method_rank(row["recipe"]), row["method"]))
     return [
         (row["method"], METHOD_WORDS.get(row["recipe"], "trained field"), not row["is_baseline"])
         for row in order
@@ -90,11 +90,6 @@ def headline_columns(rows: Sequence[Row]) -> list[Column]:
                 )
             )  # fmt: skip
     return columns
-
-
-def headline_table(rows: Sequence[Row]) -> str:
-    """HTML table of `headline_columns`."""
-    return methods_table(methods_of(rows), headline_columns(rows))
 
 
 def full_tables(rows: Sequence[Row]) -> list[tuple[str, str]]:
@@ -208,7 +203,7 @@ def _metric_column(
     """
     digits = 2 if unit == "dB" else 4 if unit == "m2" else 3
     return Column(
-        group=group, title=title, unit=unit_text(unit), higher_is_better=higher_is_better(metric),
+        group=group, title=title, unit=UNITS.get(unit, unit), higher_is_better=higher_is_better(metric),
         values=[value for value, _, _ in found], n_defined=[defined for _, defined, _ in found],
         notes=[_undefined(defined, frames) for _, defined, frames in found], digits=digits,
     )  # fmt: skip
@@ -227,7 +222,3 @@ def _cost(rows: Sequence[Row], key: str, kind: str | None) -> float:
 
 def _undefined(defined: int, frames: int) -> str:
     return "" if defined == frames else f"defined on {defined} of {frames} frames"
-
-
-def _rank(recipe: str) -> int:
-    return 1 + BASELINES.index(recipe) if recipe in BASELINES else 0

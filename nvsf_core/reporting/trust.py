@@ -115,16 +115,13 @@ def _figures(said: Sequence[Verdict]) -> str:
 
 
 def _cue_table(said: Sequence[Verdict], cues: Sequence[Cue]) -> str:
-    head = ["view", "sensor", "score over the recorded", *(_title(cue) for cue in cues)]
+    titles = [cue.title if cue.unit == "1" else f"{cue.title} [{cue.unit}]" for cue in cues]
+    head = ["view", "sensor", "score over the recorded", *titles]
     rows = [
         [_name(one.view), escape(one.sensor), number(one.ratio, 2), *(_value(one, cue) for cue in cues)]
         for one in said
     ]
     return plain_table(head, rows, words=(1,))
-
-
-def _title(cue: Cue) -> str:
-    return cue.title if cue.unit == "1" else f"{cue.title} [{cue.unit}]"
 
 
 def _value(one: Verdict, cue: Cue) -> str:

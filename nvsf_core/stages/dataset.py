@@ -4,7 +4,6 @@ Rendering is deterministic; a real scan is not. Here each ray of the rendered gr
 drop by its hit probability, and each range gets the sensor's noise, from the data set's own seed.
 """
 
-import hashlib
 import importlib.metadata
 import json
 import platform
@@ -37,6 +36,7 @@ from nvsf_core.stages.runner.record import content_of, read_record
 from nvsf_core.stages.runner.stage import Check, StageOutput, Task
 from nvsf_core.stages.views.instances import boxes_of
 from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stores.checksums import json_digest
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.removal import carry_pin, removal_of
 from nvsf_core.stores.tables import read_rows
@@ -62,8 +62,7 @@ def dataset_version(task: Task, view: ViewEntry, sources: Mapping[str, str]) -> 
         "rendered_from": _rendered_from(task),
         "code": [NOVEL_VIEWS.version, DATASET.version],
     }
-    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
-    return f"{task.config.dataset_label}-{digest[:8]}"
+    return f"{task.config.dataset_label}-{json_digest(facts)[:8]}"
 
 
 def _rendered_from(task: Task) -> dict[str, str]:

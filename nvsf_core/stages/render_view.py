@@ -31,7 +31,7 @@ from nvsf_core.stages.runner.run import (
 from nvsf_core.stages.runner.stage import Progress, Task
 from nvsf_core.stages.versions import reading_versions
 from nvsf_core.stages.views.instances import boxes_of, instance_arrays
-from nvsf_core.stages.views.view import View, asked_view, camera_models, placed, view_attrs
+from nvsf_core.stages.views.view import asked_view, camera_models, placed, view_attrs
 from nvsf_core.stores.removal import carry_pin
 from nvsf_core.stores.scene_store import new_folder
 
@@ -134,9 +134,8 @@ def _write(run: SceneRun, asked: ViewEntry, folder: Path, say: Progress) -> None
         raise DataError(
             f"view {asked.name}: expected sensors that the drive has, found none of those asked for"
         )
-    model = load_trained(
-        run.store.require(FIELD.location(run.config)), recording, with_camera=_has_images(view)
-    )  # fmt: skip
+    has_images = bool(view.images or view.other_cameras)
+    model = load_trained(run.store.require(FIELD.location(run.config)), recording, with_camera=has_images)
     models, _ = with_images(task, recording, {_MODEL: model}, [view])
     model = models[_MODEL]
     arrays = render_view_arrays(task, recording, view, model, _MODEL) | placed(recording, view)
@@ -156,7 +155,3 @@ def _write(run: SceneRun, asked: ViewEntry, folder: Path, say: Progress) -> None
         **write_data_set(folder, rendered, boxes),
     }
     finish_data_set(folder, manifest)
-
-
-def _has_images(view: View) -> bool:
-    return bool(view.images or view.other_cameras)

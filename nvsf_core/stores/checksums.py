@@ -1,10 +1,12 @@
 """Sizes and checksums of an output's files, to detect missing or changed ones."""
 
+import hashlib
+import json
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
-__all__ = ["checksum_of", "damaged_file", "file_checksums"]
+__all__ = ["checksum_of", "damaged_file", "file_checksums", "json_digest"]
 
 _BLOCK_BYTES = 4 << 20
 
@@ -29,6 +31,11 @@ def damaged_file(folder: Path, listed: Mapping[str, str]) -> str | None:
         except (OSError, ValueError):
             return name
     return None
+
+
+def json_digest(value: object) -> str:
+    """SHA-256 of a value as JSON, its keys sorted."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
 def checksum_of(path: Path) -> str:

@@ -7,10 +7,11 @@ from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.kernels.images.splat import splat_depth
 from nvsf_core.rendering.reproject_camera import (
     FAR_M,
+    filled_depth,
     inverse_depth,
     nearest_sources,
     render_by_warping,
-    view_depth,
+    splat_points,
 )
 from nvsf_core.rendering.warping import ray_length
 
@@ -105,7 +106,8 @@ def test_masked_source_pixels_do_not_answer() -> None:
 
 
 def test_without_any_return_the_view_is_as_far_as_the_sky() -> None:
-    depth, gap = view_depth(pose(0.0), CAMERA, np.zeros((0, 3), np.float32))
+    nothing = np.zeros((0, 3), np.float32)
+    depth, gap = filled_depth(pose(0.0), CAMERA, nothing, splat_points(pose(0.0), CAMERA, nothing))
     assert (depth == FAR_M).all()
     assert np.isinf(gap).all()
 
@@ -162,7 +164,7 @@ def test_depth_on_a_road_is_that_of_pixel_centres() -> None:
     g = np.random.default_rng(0)
     x, z = g.uniform(-12.0, 12.0, 60_000), g.uniform(3.0, 25.0, 60_000)
     road = np.stack([x, np.full_like(x, 1.7), z], axis=1).astype(np.float32)
-    depth_m, _ = view_depth(pose(0.0), CAMERA, road)
+    depth_m, _ = filled_depth(pose(0.0), CAMERA, road, splat_points(pose(0.0), CAMERA, road))
     truth_m = CAMERA.fy * 1.7 / (np.arange(CAMERA.height) - CAMERA.cy)
     rows = slice(40, 60)
     share = np.abs(depth_m / truth_m[:, None] - 1.0)[rows, 4:-4]

@@ -74,7 +74,7 @@ _MAPS = "depth_maps"
 def train_camera(session: TrainingSession, recipe: ResidualRecipe, recording: Recording) -> TrainedPart:
     """Learn the depths of the training images, then decide on the validation images whether to use them."""
     started = time.perf_counter()
-    usable = [name for name in recording.cameras if _images(recording, name) >= _FEWEST_IMAGES]
+    usable = [name for name, one in recording.cameras.items() if len(one.training.rgb) >= _FEWEST_IMAGES]
     shared = shared_images(recording, usable)
     tones = tones_of(recording, shared)
     given = aligned_by(MovingWorld(with_tones(recording, tones)), {})
@@ -318,7 +318,3 @@ def _shown(
     return shown_images(
         shared.rgb(world.recording), first.valid, shrinking(first.pinhole, spec), moving, log_gain
     )
-
-
-def _images(recording: Recording, camera: str) -> int:
-    return len(recording.cameras[camera].training.rgb)

@@ -1,6 +1,5 @@
 """The manifest of a data set: sealed, so that a version says by itself whether it is as it was published."""
 
-import hashlib
 import json
 import math
 from collections.abc import Mapping
@@ -8,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nvsf_core.errors import StoreError
-from nvsf_core.stores.checksums import damaged_file
+from nvsf_core.stores.checksums import damaged_file, json_digest
 from nvsf_core.stores.documents import read_document
 
 MANIFEST_NAME = "manifest.json"
@@ -21,7 +20,7 @@ CHECKSUMS = "checksums"
 
 def write_manifest(folder: Path, entries: Mapping[str, Any]) -> None:
     """Write the manifest, as strict JSON, with the digest of its entries."""
-    sealed = {**entries, SEAL: _digest(entries)}
+    sealed = {**entries, SEAL: json_digest(entries)}
     (folder / MANIFEST_NAME).write_text(json.dumps(sealed, indent=1, allow_nan=False))
 
 
@@ -45,7 +44,7 @@ def sound_manifest(folder: Path) -> dict[str, Any] | None:
     except StoreError:
         return None
     seal = manifest.get(SEAL)
-    own = _digest({key: value for key, value in manifest.items() if key != SEAL})
+    own = json_digest({key: value for key, value in manifest.items() if key != SEAL})
     return manifest if seal in (None, own) else None
 
 
@@ -79,7 +78,3 @@ def is_sealed(folder: Path) -> bool:
         return SEAL in read_document(folder / MANIFEST_NAME)
     except StoreError:
         return False
-
-
-def _digest(entries: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(entries, sort_keys=True).encode()).hexdigest()

@@ -4,14 +4,13 @@ A copied or moved drive has the same digest, whatever its place and the times of
 another.
 """
 
-import hashlib
-import json
 from pathlib import Path
 
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.view_truth import truth_files
 from nvsf_core.errors import DataError
+from nvsf_core.stores.checksums import json_digest
 from nvsf_core.stores.file_hashes import FileHashes
 from nvsf_core.stores.scene_store import SceneStore
 
@@ -42,7 +41,7 @@ def drive_digest(scene: SceneEntry, hashes: FileHashes) -> str:
     except OSError as error:
         raise _unreadable(scene, error) from error
     folders = [folder.relative_to(scene.root).as_posix() for folder in section.folders]
-    return _digest({"files": named, "folders": folders, "recorded": section.recorded})
+    return json_digest({"files": named, "folders": folders, "recorded": section.recorded})
 
 
 def truth_digest(scene: SceneEntry, hashes: FileHashes) -> str:
@@ -57,7 +56,7 @@ def truth_digest(scene: SceneEntry, hashes: FileHashes) -> str:
         for camera, files in truth_files(scene, view).items():
             for path in files.values():
                 named[f"{view.name} {camera} {path.name}"] = _hash(scene, path, hashes)
-    return _digest(named)
+    return json_digest(named)
 
 
 def _hash(scene: SceneEntry, path: Path, hashes: FileHashes) -> str:
@@ -72,7 +71,3 @@ def _unreadable(scene: SceneEntry, error: OSError) -> DataError:
         f"scene {scene.name}: cannot read {error.filename or scene.root} ({error.strerror}); correct its "
         "permissions, or unpack the drive again"
     )
-
-
-def _digest(facts: object) -> str:
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

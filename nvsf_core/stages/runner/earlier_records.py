@@ -6,7 +6,6 @@ NVSF_EARLIER_HOME names where it lay.
 """
 
 import hashlib
-import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -16,6 +15,7 @@ from typing import Any
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.view_truth import truth_files
 from nvsf_core.stages.runner.stage import RunConfig, Stage
+from nvsf_core.stores.checksums import json_digest
 
 EARLIER = "earlier"
 """Key of a record: the fingerprint that the output had before, which those of its readers were made with."""
@@ -58,7 +58,7 @@ def is_taken_over(
     if len(known) < len(stage.inputs):
         return False
     for placed in _placed(scene, *homes):
-        if _digest(_facts(stage, placed, scene, config, known)) == record["fingerprint"]:
+        if json_digest(_facts(stage, placed, scene, config, known)) == record["fingerprint"]:
             return True
     return False
 
@@ -131,7 +131,3 @@ def _line(path: Path, name: str) -> bytes:
 
 def _files_below(folder: Path) -> list[Path]:
     return sorted(Path(place) / name for place, _, names in os.walk(folder) for name in names)
-
-
-def _digest(facts: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

@@ -12,7 +12,7 @@ from nvsf_core.stages.optional_tools import tools_now_there
 from nvsf_core.stages.runner.contents import hashes_of
 from nvsf_core.stages.runner.disk_space import require_space
 from nvsf_core.stages.runner.earlier_records import EARLIER, earlier_fingerprint, is_earlier, is_taken_over
-from nvsf_core.stages.runner.facts import Facts, difference, digest_of, facts_of, without_recipe
+from nvsf_core.stages.runner.facts import Facts, difference, facts_of, without_recipe
 from nvsf_core.stages.runner.kept_memory import keep_freed_memory
 from nvsf_core.stages.runner.later import Later
 from nvsf_core.stages.runner.record import (
@@ -25,6 +25,7 @@ from nvsf_core.stages.runner.record import (
 )
 from nvsf_core.stages.runner.resources import Meter, in_words
 from nvsf_core.stages.runner.stage import Check, Outcome, Progress, RunConfig, Stage, Task, UnsoundOutputError
+from nvsf_core.stores.checksums import json_digest
 from nvsf_core.stores.documents import write_document
 from nvsf_core.stores.file_hashes import FileHashes
 from nvsf_core.stores.scene_store import SceneStore
@@ -76,7 +77,7 @@ def compared(place: StagePlace, hashes: FileHashes) -> Comparison:
     record = read_record(place.store.recovered(place.location))
     if record is None:
         return Comparison(record=None, facts=facts, reason="", is_up_to_date=False)
-    if record["fingerprint"] == digest_of(facts):
+    if record["fingerprint"] == json_digest(facts):
         tools = tools_now_there(record["metadata"].values())
         reason = f"for {', '.join(tools)}, absent when it was made, can be used now" if tools else ""
         return Comparison(record=record, facts=facts, reason=reason, is_up_to_date=not tools)
@@ -209,7 +210,7 @@ def _publish(place: StagePlace, found: Comparison, task: Callable[[Path], Task])
         _require_contract(place, folder)
         _require_unchanged(place, found.facts)
         record = {
-            "fingerprint": digest_of(found.facts),
+            "fingerprint": json_digest(found.facts),
             "facts": found.facts,
             "version": stage.version,
             "metadata": output.metadata,
@@ -298,7 +299,7 @@ def _taken_over(path: Path, found: Comparison, progress: Progress, name: str) ->
     if not is_earlier(record):
         return record
     progress(f"{name}: taken over from before fingerprints were of content")
-    facts = {"fingerprint": digest_of(found.facts), "facts": found.facts, EARLIER: record["fingerprint"]}
+    facts = {"fingerprint": json_digest(found.facts), "facts": found.facts, EARLIER: record["fingerprint"]}
     write_document(path / RECORD_NAME, record | facts)
     return record | facts
 

@@ -1,7 +1,5 @@
 """What decides a stage's output, its fingerprint, and the words for what has changed."""
 
-import hashlib
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -10,6 +8,7 @@ from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.entries import ViewEntry
 from nvsf_core.stages.runner.contents import drive_digest, truth_digest
 from nvsf_core.stages.runner.stage import RunConfig, Stage
+from nvsf_core.stores.checksums import json_digest
 from nvsf_core.stores.file_hashes import FileHashes
 
 Facts = dict[str, Any]
@@ -95,7 +94,7 @@ def drive_version(scene: SceneEntry, hashes: FileHashes) -> str:
         DataError: A file cannot be read.
         TimeIsUpError: The time of `hashes` is up.
     """
-    return digest_of({"scene": scene_facts(scene), "drive": drive_digest(scene, hashes)})
+    return json_digest({"scene": scene_facts(scene), "drive": drive_digest(scene, hashes)})
 
 
 def views_version(scene: SceneEntry, hashes: FileHashes) -> str:
@@ -105,17 +104,12 @@ def views_version(scene: SceneEntry, hashes: FileHashes) -> str:
         DataError: A true image is absent or cannot be read.
         TimeIsUpError: The time of `hashes` is up.
     """
-    return digest_of({"views": view_facts(scene), "truth": truth_digest(scene, hashes)})
-
-
-def digest_of(facts: Facts) -> str:
-    """SHA-256 of the facts: the fingerprint of an output."""
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+    return json_digest({"views": view_facts(scene), "truth": truth_digest(scene, hashes)})
 
 
 def without_recipe(facts: Facts) -> str:
     """SHA-256 of all facts but the recipe."""
-    return digest_of({name: fact for name, fact in facts.items() if name != "recipe"})
+    return json_digest({name: fact for name, fact in facts.items() if name != "recipe"})
 
 
 def difference(before: Mapping[str, Any], now: Facts) -> str:

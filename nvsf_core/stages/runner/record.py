@@ -1,13 +1,11 @@
 """The record of each output, `stage.json`: its fingerprint, metadata, checks and file checksums."""
 
-import hashlib
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from nvsf_core.errors import StoreError
-from nvsf_core.stores.checksums import damaged_file, file_checksums
+from nvsf_core.stores.checksums import damaged_file, file_checksums, json_digest
 from nvsf_core.stores.documents import read_document
 from nvsf_core.stores.removal import PIN_NAME, Removal, removal_of
 from nvsf_core.stores.scene_store import SceneStore
@@ -72,7 +70,7 @@ def content_of(record: Mapping[str, Any]) -> str:
     files = record.get("files")
     if not files:
         return str(record["fingerprint"])
-    return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()
+    return json_digest(files)
 
 
 def damage_of(store: SceneStore, location: str, record: Mapping[str, Any]) -> str | None:

@@ -46,11 +46,6 @@ class _HeldOut:
         return parallax_curve([self.looks[k] for k in kept], [self.fills[k] for k in kept])
 
 
-def recorded_cameras(task: Task) -> set[str]:
-    """Names of the cameras of the drive that have images."""
-    return set(read_attrs(task.store.require("undistorted") / "images.zarr")["cameras"])
-
-
 class RecordedCamera:
     """The training images of one camera, and what recorded images have among themselves."""
 

@@ -13,7 +13,7 @@ from nvsf_core.metrics.trust.verdict import LIDAR, Band, score_of
 from nvsf_core.recording.drive import Sweeps
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.rows import Ledger
-from nvsf_core.stages.scoring.trust.images import RecordedCamera, image_cues, recorded_cameras
+from nvsf_core.stages.scoring.trust.images import RecordedCamera, image_cues
 from nvsf_core.stages.scoring.trust.odometry import odometry_errors
 from nvsf_core.stages.scoring.trust.scans import read_training_scans, scan_cues
 from nvsf_core.stores.arrays import holds_array, read_attrs
@@ -48,8 +48,9 @@ def recorded_sensors(task: Task, paths: Sequence[Path]) -> list[RecordedSensor]:
         )
     held_out = next((path for path in paths if path.parent.name == HELD_OUT), None)
     shown = {name for path in paths for name in read_attrs(path).get("cameras", [])}
+    recorded = read_attrs(task.store.require("undistorted") / "images.zarr")["cameras"]
     # A view's own cameras, of other intrinsics, have recorded nothing.
-    for name in sorted(shown & recorded_cameras(task)):
+    for name in sorted(shown & set(recorded)):
         if any(shows(path, name) for path in paths):
             task.progress(f"[{task.scene.name}] scene_metrics: how far recorded images of {name} are apart")
             camera = RecordedCamera(task, name, held_out)
