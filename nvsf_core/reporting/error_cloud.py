@@ -3,7 +3,7 @@
 import numpy as np
 
 from nvsf_core.reporting.html import image
-from nvsf_core.reporting.previews import palette_png
+from nvsf_core.reporting.previews import palette_png, top_view_levels
 
 ERROR_CLOUD_NAME = "error_cloud.png"
 """File of the picture beside a field's metrics."""
@@ -30,18 +30,14 @@ def error_cloud_png(
         extent_m: From the sensor to the picture's border, metres.
         pixels: Side of the square picture.
     """
-    cell = np.floor((extent_m - points_m[:, :2]) / (2.0 * extent_m) * pixels).astype(np.int64)
-    inside = ((cell >= 0) & (cell < pixels)).all(axis=1)
     # A NaN is red too.
-    wrong = ~(range_error_m[inside] <= WRONG_M)
-    share = np.where(wrong, 0.0, range_error_m[inside] / WRONG_M)
+    wrong = ~(range_error_m <= WRONG_M)
+    share = np.where(wrong, 0.0, range_error_m / WRONG_M)
     level = np.where(wrong, _RED, 1 + np.rint(share * (_GREYS - 1)).astype(np.int64))
-    levels = np.zeros((pixels, pixels), np.int64)
-    np.maximum.at(levels, (cell[inside, 0], cell[inside, 1]), level)
     palette = np.zeros((256, 3), np.uint8)
     palette[1:_RED] = np.rint(np.linspace(_DARKEST, _LIGHTEST, _GREYS))[:, None]
     palette[_RED] = WRONG_COLOUR
-    return palette_png(levels, palette)
+    return palette_png(top_view_levels(points_m, level, extent_m, pixels), palette)
 
 
 def error_cloud_figure(png: bytes | None) -> str:

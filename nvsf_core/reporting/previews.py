@@ -11,6 +11,7 @@ from PIL import Image
 
 MAX_BYTES = 100_000
 MAX_RANGE_M = 80.0
+_MOST_WIDE = 704
 SUPPORT_COLOURS = ((214, 62, 50), (240, 190, 60), (48, 120, 190))
 """Of guessed, extrapolated and seen returns; rays without a return have a third of the brightness."""
 _SPLIT_COLOURS = {"train": "#2a6f97", "test": "#d9822b"}
@@ -19,12 +20,12 @@ _USE_MARKS = {"whole": ("o", True), "part": ("o", False), "none": ("x", True)}
 _USE_WORDS = {"whole": "", "part": ", something left out", "none": ", nothing usable"}
 
 
-def range_preview(range_m: np.ndarray, max_range_m: float = MAX_RANGE_M, row_repeat: int = 4) -> bytes:
+def range_preview(range_m: np.ndarray, row_repeat: int = 4) -> bytes:
     """PNG of a range image (H, W) in metres: near violet, far red, no return (0, inf, NaN) black."""
     valid = np.isfinite(range_m) & (range_m > 0.0)
     near = np.where(valid, range_m, 1.0)
     # Square root: half of the returns lie within 15 m and would share two colours otherwise.
-    level = np.sqrt(np.clip(near / max_range_m, 0.0, 1.0))
+    level = np.sqrt(np.clip(near / MAX_RANGE_M, 0.0, 1.0))
     return indexed_png(np.where(valid, 1 + np.rint(level * 254), 0), "turbo", row_repeat)
 
 
@@ -41,30 +42,30 @@ def support_preview(support: np.ndarray, returned: np.ndarray, row_repeat: int =
     return palette_png(np.where(returned, 3 + support, support), palette, row_repeat)
 
 
-def scan_top_view(points_m: np.ndarray, extent_m: float = 40.0, pixels: int = 480) -> bytes:
-    """PNG of points (N, 3) in the sensor's frame, metres, from above, forward up, coloured by height."""
-    return indexed_png(top_view_levels(points_m, extent_m, pixels), "viridis", darkest=0.2)
-
-
-def top_view_levels(points_m: np.ndarray, extent_m: float = 40.0, pixels: int = 480) -> np.ndarray:
-    """Height image of points (N, 3) in the sensor's frame, metres; forward is up, left is left.
-
-    Returns:
-        (pixels, pixels) int64, level 1..255 of the highest point in each cell (-2.5 to 4 m); 0 = none.
-    """
+def scan_top_view(points_m: np.ndarray) -> bytes:
+    """PNG of points (N, 3) in the sensor's frame, metres, from above, coloured by height: -2.5 to 4 m."""
     points_m = points_m[np.isfinite(points_m).all(axis=1)]
+    level = 1 + np.rint(np.clip((points_m[:, 2] + 2.5) / 6.5, 0.0, 1.0) * 254).astype(np.int64)
+    return indexed_png(top_view_levels(points_m, level, 40.0, 480), "viridis", darkest=0.2)
+
+
+def top_view_levels(points_m: np.ndarray, level: np.ndarray, extent_m: float, pixels: int) -> np.ndarray:
+    """The highest level in each cell (pixels, pixels) int64 seen from above, forward up; 0 = no point.
+
+    Of points (N, 3) in the sensor's frame, metres, with levels (N,) int64; `extent_m` is from the sensor to
+    the picture's border.
+    """
     cell = np.floor((extent_m - points_m[:, :2]) / (2.0 * extent_m) * pixels).astype(np.int64)
     inside = ((cell >= 0) & (cell < pixels)).all(axis=1)
-    level = 1 + np.rint(np.clip((points_m[inside, 2] + 2.5) / 6.5, 0.0, 1.0) * 254).astype(np.int64)
     levels = np.zeros((pixels, pixels), np.int64)
-    np.maximum.at(levels, (cell[inside, 0], cell[inside, 1]), level)
+    np.maximum.at(levels, (cell[inside, 0], cell[inside, 1]), level[inside])
     return levels
 
 
-def image_preview(rgb: np.ndarray, max_width: int = 704) -> bytes:
+def image_preview(rgb: np.ndarray) -> bytes:
     """PNG of an image (H, W, 3) uint8, scaled down until it fits."""
     picture = Image.fromarray(rgb)
-    width = min(max_width, picture.width)
+    width = min(_MOST_WIDE, picture.width)
     while True:
         height = max(1, round(picture.height * width / picture.width))
         content = _png_bytes(picture.resize((width, height), Image.Resampling.LANCZOS))

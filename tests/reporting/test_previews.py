@@ -37,8 +37,9 @@ def test_each_support_has_a_colour_that_is_dark_without_a_return() -> None:
 
 
 def test_from_above_forward_is_up_and_left_is_left() -> None:
-    levels = previews.top_view_levels(np.array([[39.0, 0.0, 0.0], [0.0, 39.0, 0.0]]), 40.0, 80)
-    assert np.argwhere(levels).tolist() == [[1, 40], [40, 1]]
+    points_m = np.array([[39.0, 0.0, 0.0], [0.0, 39.0, 0.0]])
+    levels = previews.top_view_levels(points_m, np.array([7, 9]), 40.0, 80)
+    assert np.argwhere(levels).tolist() == [[1, 40], [40, 1]] and levels.max() == 9
 
 
 def test_the_path_shows_each_split_and_what_cannot_be_used_in_its_own_way() -> None:

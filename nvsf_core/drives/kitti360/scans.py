@@ -124,3 +124,9 @@ def write_scan(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
         raise DataError(f"expected finite returns for {path}, found others; leave those returns out")
     path.parent.mkdir(parents=True, exist_ok=True)
     rows.tofile(path)
+
+
+def write_column(path: Path, values: np.ndarray) -> None:
+    """Write one value a return, as bare numbers, in a file beside the scan's; its folder is made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(values.tobytes())

@@ -195,7 +195,7 @@ def write_frame_poses(path: Path, frames: Sequence[int], poses: np.ndarray, rows
     `poses` are (n, 4, 4) to the world, metres, one a frame.
     """
     lines = [f"{frame} {_numbers(pose[:rows])}" for frame, pose in zip(frames, poses, strict=True)]
-    _write_text(path, "\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def write_cam_to_pose(path: Path, cam_to_pose: Mapping[str, np.ndarray]) -> None:
@@ -205,12 +205,12 @@ def write_cam_to_pose(path: Path, cam_to_pose: Mapping[str, np.ndarray]) -> None
     """
     any_pose = next(iter(cam_to_pose.values()))
     known = {**dict.fromkeys(CAMERAS, any_pose), **cam_to_pose}
-    _write_text(path, "".join(f"{name}: {_numbers(pose[:3])}\n" for name, pose in known.items()))
+    write_text(path, "".join(f"{name}: {_numbers(pose[:3])}\n" for name, pose in known.items()))
 
 
 def write_pose(path: Path, pose: np.ndarray) -> None:
     """Write `calib_cam_to_velo.txt`: the upper rows of one pose (4, 4) in one line."""
-    _write_text(path, _numbers(pose[:3]) + "\n")
+    write_text(path, _numbers(pose[:3]) + "\n")
 
 
 def write_perspective(path: Path, cameras: Mapping[str, RectifiedCamera]) -> None:
@@ -235,7 +235,7 @@ def write_perspective(path: Path, cameras: Mapping[str, RectifiedCamera]) -> Non
             f"R_rect_{tag}: {_numbers(camera.rectification)}",
             f"P_rect_{tag}: {_numbers(p)}",
         ]
-    _write_text(path, "\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def write_fisheye(path: Path, name: str, camera: MeiFisheye) -> None:
@@ -255,19 +255,19 @@ def write_fisheye(path: Path, name: str, camera: MeiFisheye) -> None:
     for group, keys in groups.items():
         lines.append(f"{group}:")
         lines += [f"   {key}: {getattr(camera, key):.16e}" for key in keys]
-    _write_text(path, "\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def write_timestamps(path: Path, start: datetime, offsets_s: Iterable[float]) -> None:
     """Write timestamps: one line a frame from frame 0, seconds with nine digits as in KITTI."""
     times = [start + timedelta(seconds=offset) for offset in offsets_s]
-    _write_text(path, "".join(f"{time.isoformat(' ', 'microseconds')}000\n" for time in times))
+    write_text(path, "".join(f"{time.isoformat(' ', 'microseconds')}000\n" for time in times))
 
 
 def write_boxes(path: Path, boxes: Sequence[WrittenBox]) -> None:
     """Write `data_3d_bboxes/*/<sequence>.xml`: one element a box, in the format of OpenCV's file storage."""
     objects = "".join(_box_xml(index, box) for index, box in enumerate(boxes))
-    _write_text(path, f'<?xml version="1.0"?>\n<opencv_storage>\n{objects}</opencv_storage>\n')
+    write_text(path, f'<?xml version="1.0"?>\n<opencv_storage>\n{objects}</opencv_storage>\n')
 
 
 def _box_xml(index: int, box: WrittenBox) -> str:
@@ -308,6 +308,7 @@ def _numbers(values: np.ndarray) -> str:
     return " ".join(f"{value:.10f}" for value in np.ravel(values))
 
 
-def _write_text(path: Path, text: str) -> None:
+def write_text(path: Path, text: str) -> None:
+    """Write a text file; its folder is made."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nvsf_core.drives.kitti360.boxes import Box
-from nvsf_core.drives.kitti360.scans import Scan, write_scan
-from nvsf_core.drives.kitti360.writer import write_image
+from nvsf_core.drives.kitti360.scans import Scan, write_column, write_scan
+from nvsf_core.drives.kitti360.writer import write_image, write_text
 from nvsf_core.drives.plain.layout import PlainLayout
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
@@ -68,9 +68,7 @@ def write_plain_scan(layout: PlainLayout, frame: int, scan: Scan) -> None:
     beside = (("ring", scan.ring, "<u2"), ("time", scan.offset_s, "<f4"))
     for name, values, kind in beside:
         if values is not None:
-            path = layout.beside_path(name, frame)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(values.astype(kind).tobytes())
+            write_column(layout.beside_path(name, frame), values.astype(kind))
 
 
 def write_plain_image(layout: PlainLayout, camera: str, frame: int, rgb: np.ndarray) -> None:
@@ -99,10 +97,8 @@ def _digits(value: float) -> str:
 
 
 def _write_lines(path: Path, lines: Sequence[str]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def _write_json(path: Path, facts: Mapping[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(facts, indent=1) + "\n")

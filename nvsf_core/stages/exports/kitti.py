@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.drives.kitti360.scans import write_scan
-from nvsf_core.drives.kitti360.writer import write_image
+from nvsf_core.drives.kitti360.scans import write_column, write_scan
+from nvsf_core.drives.kitti360.writer import write_image, write_text
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.stages.exports.camera_places import are_parallel, pinholes_of
@@ -55,11 +55,8 @@ def write_kitti(folder: Path, data: DataSet) -> None:
         if data.scan is not None:
             scan = data.scan(index)
             write_scan(place / "velodyne" / f"{index:06d}.bin", scan.rows[:, :3], scan.rows[:, 3])
-            for name, values in (("ring", scan.ring), ("time", scan.offset_s), ("support", scan.support)):
-                if values is not None:
-                    file = place / f"velodyne_{name}" / f"{index:06d}.bin"
-                    file.parent.mkdir(parents=True, exist_ok=True)
-                    file.write_bytes(values.tobytes())
+            for name, values in scan.beside.items():
+                write_column(place / f"velodyne_{name}" / f"{index:06d}.bin", values)
         for number, name in enumerate(names, start=_FIRST):
             write_image(place / f"image_{number}" / f"{index:06d}.png", data.image(name, index).rgb)
 
@@ -83,5 +80,4 @@ def _line(matrix: np.ndarray) -> str:
 
 
 def _write(path: Path, lines: list[str]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("".join(f"{line}\n" for line in lines), encoding="ascii")
+    write_text(path, "".join(f"{line}\n" for line in lines))

@@ -13,7 +13,7 @@ import numpy as np
 
 from nvsf_core.drives.kitti360.boxes import class_of, number_in_boxes
 from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
-from nvsf_core.drives.kitti360.scans import write_scan
+from nvsf_core.drives.kitti360.scans import write_column, write_scan
 from nvsf_core.drives.kitti360.writer import (
     MOST_LINES_BEFORE,
     WrittenBox,
@@ -63,12 +63,8 @@ def write_kitti360(folder: Path, data: DataSet) -> None:
         if data.scan is not None:
             scan = data.scan(index)
             write_scan(layout.scan_path(number), scan.rows[:, :3], scan.rows[:, 3])
-            beside = {"ring": scan.ring, "time": scan.offset_s, "support": scan.support}
-            for name, values in beside.items():
-                if values is not None:
-                    place = layout.velodyne_dir / name / f"{number:010d}.bin"
-                    place.parent.mkdir(parents=True, exist_ok=True)
-                    place.write_bytes(values.tobytes())
+            for name, values in scan.beside.items():
+                write_column(layout.velodyne_dir / name / f"{number:010d}.bin", values)
         for name, own in names.items():
             image = data.image(own, index)
             write_image(layout.image_path(name, number), image.rgb)

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from nvsf_core.drives.kitti360.writer import write_classes, write_image
+from nvsf_core.drives.kitti360.scans import write_column
+from nvsf_core.drives.kitti360.writer import write_classes, write_image, write_text
 from nvsf_core.geometry.boxes import inside_any
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.stages.exports.camera_places import pinholes_of
@@ -65,22 +66,17 @@ def write_nuscenes(folder: Path, data: DataSet) -> None:
             tables.add_box(index, box, scan)
     write_classes(root / tables.rows["map"][0]["filename"], _NO_MAP)
     for name, rows in tables.finished().items():
-        path = root / VERSION / f"{name}.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(rows, indent=0, allow_nan=False), encoding="utf-8")
+        write_text(root / VERSION / f"{name}.json", json.dumps(rows, indent=0, allow_nan=False))
 
 
 def _write_scan(root: Path, file: str, scan: ScanRecord) -> None:
     """Write x, y, z, intensity, ring as float32; time and support in folders beside."""
     path = root / file
-    path.parent.mkdir(parents=True, exist_ok=True)
     x, y, z, intensity = scan.rows.T
-    np.column_stack([-y, x, z, 255.0 * intensity, scan.ring]).astype("<f4").tofile(path)
-    for name, values in (("time", scan.offset_s), ("support", scan.support)):
-        if values is not None:
-            beside = path.parent.with_name(f"{LIDAR}_{name}") / path.name.replace(".pcd.bin", ".bin")
-            beside.parent.mkdir(parents=True, exist_ok=True)
-            values.tofile(beside)
+    write_column(path, np.column_stack([-y, x, z, 255.0 * intensity, scan.ring]).astype("<f4"))
+    for name in sorted({*scan.beside} - {"ring"}):
+        beside = path.parent.with_name(f"{LIDAR}_{name}") / path.name.replace(".pcd.bin", ".bin")
+        write_column(beside, scan.beside[name])
 
 
 class _Tables:

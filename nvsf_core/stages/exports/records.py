@@ -30,6 +30,12 @@ class ScanRecord:
     lidar_to_world: np.ndarray
     """(4, 4) at the stamp, metres."""
 
+    @property
+    def beside(self) -> dict[str, np.ndarray]:
+        """What lies in files beside the scan's: `ring`, `time` and, where it is known, `support`."""
+        found = {"ring": self.ring, "time": self.offset_s}
+        return found if self.support is None else found | {"support": self.support}
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ImageRecord:

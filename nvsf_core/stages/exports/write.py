@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.clouds.laz import write_laz
+from nvsf_core.drives.kitti360.scans import write_column
 from nvsf_core.drives.kitti360.writer import write_numbers
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages.exports.card import JSON_NAME, MARKDOWN_NAME, write_card
@@ -129,13 +130,9 @@ def _scan(folder: Path, view: RenderedView, index: int) -> dict[str, Any]:
 
 def _beside(folder: Path, scan: ScanRecord) -> dict[str, str]:
     """Write ring, time and support of a scan's points as files beside it."""
-    columns = {"ring": scan.ring, "time": scan.offset_s, "support": scan.support}
-    files = {}
-    for name, values in columns.items():
-        if values is not None:
-            files[name] = f"velodyne_points/{name}/{scan.number:010d}.bin"
-            (folder / files[name]).parent.mkdir(parents=True, exist_ok=True)
-            (folder / files[name]).write_bytes(values.tobytes())
+    files = {name: f"velodyne_points/{name}/{scan.number:010d}.bin" for name in scan.beside}
+    for name, values in scan.beside.items():
+        write_column(folder / files[name], values)
     return files
 
 
