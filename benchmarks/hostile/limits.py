@@ -30,11 +30,9 @@ class End:
 
 
 def run_limited(case: Callable[[], End], seconds: float = SECONDS) -> End:
-    """Run a case in a forked process and say how it ended.
+    """Run a case in a forked process and say how it ended; after `seconds` it is killed: `hang`.
 
-    Args:
-        case: Says itself how it ended; an NvsfError is `refused`, any other exception a `raw error`.
-        seconds: After so many the process is killed: `hang`.
+    The case says itself how it ended; an NvsfError is `refused`, any other exception a `raw error`.
     """
     receiving, sending = multiprocessing.Pipe(duplex=False)
     child = os.fork()

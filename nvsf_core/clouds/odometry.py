@@ -60,9 +60,7 @@ def odometry_path(
 def _back_to_instant(step: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     """Motion (4, 4) from a scan's last point to its instant, as KISS-ICP takes the sensor to have moved.
 
-    Args:
-        step: (4, 4) motion that it takes to have lain between the first point and the last.
-        fraction: (m,) times of the points, in sweeps after the instant.
+    `step` (4, 4) is the motion between the two; `fraction` (m,) times of the points, in sweeps after it.
     """
     length = np.ptp(fraction)
     share = fraction.max() / length if length > 0.0 else 0.0

@@ -36,12 +36,7 @@ class Slippage:
     """(6 - c - s, 3) unit axes about which turns are not determined."""
 
     def determined(self, rotation_vector: np.ndarray, shift_m: np.ndarray) -> tuple[float, float]:
-        """The determined part of a motion: shift in metres and turn in radians.
-
-        Args:
-            rotation_vector: (3,) radians, about the points' centroid.
-            shift_m: (3,) of the centroid.
-        """
+        """The determined part of a motion: shift (3,) of the centroid, metres, and turn (3,), radians."""
         motion = np.concatenate([self.axes.T @ rotation_vector * self.lever_m, shift_m])
         kept = self.resisted @ (self.resisted.T @ motion)
         return float(np.linalg.norm(kept[3:])), float(np.linalg.norm(kept[:3] / self.lever_m))

@@ -27,14 +27,10 @@ GAPS_WAIT = 30
 
 
 def why_wait(section: Section, quiet_s: float) -> str:
-    """Why a drive is not whole yet, as one that is still being copied is not; empty if it is.
+    """Why a drive is not whole yet: something of it changed in the last `quiet_s` seconds; empty if it is.
 
     The change times of files say when they came here, whatever modification times a copy gave them. They
     cannot be set by anybody, and a drive that is moved within a disk keeps its own.
-
-    Args:
-        section: Files of the scene's section.
-        quiet_s: How long nothing may have changed.
     """
     if not section.folders or not section.files:
         return "no scan or image yet"

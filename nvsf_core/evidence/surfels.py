@@ -297,13 +297,10 @@ def _precision(covariance: np.ndarray, hits: np.ndarray, voxel_m: float) -> np.n
 
 
 def weighted_median_index(weights: np.ndarray) -> np.ndarray:
-    """Index (r,) of each ray's weighted median sample: the first at which half of the total is reached.
+    """Index (r,) of the median sample by weights (r, k): the first at which half of the total is reached.
 
     On a ray that meets an edge the mean lies in the air between both surfaces; the median lies on one.
     A ray of total weight 0 gives index 0.
-
-    Args:
-        weights: (r, k) at least 0, k >= 1.
     """
     # Added in float64 and compared as the weights are, as `render_by_surfels` does.
     so_far = np.cumsum(weights, axis=1, dtype=np.float64).astype(weights.dtype)

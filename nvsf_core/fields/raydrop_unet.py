@@ -72,11 +72,7 @@ class RaydropUnet(nn.Module):
         return self.leave(x)[:, 0]
 
     def expect(self, hit_share: float) -> None:
-        """Set the last bias to the log-odds of the usual hit rate, from which training starts.
-
-        Args:
-            hit_share: Share of the training panos' cells with a return, clamped to [0.001, 0.999].
-        """
+        """Set the last bias to the log-odds of the training panos' share of hits, within 0.001 to 0.999."""
         known = min(max(hit_share, 1e-3), 1.0 - 1e-3)
         last = cast(nn.Conv2d, self.leave[-1])
         with torch.no_grad():

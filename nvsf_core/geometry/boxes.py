@@ -48,14 +48,10 @@ def inside_any(points_m: np.ndarray, boxes: np.ndarray, grown_m: float = 0.0) ->
 
 
 def box_rectangles(camera: Pinhole, boxes_to_camera: np.ndarray) -> np.ndarray:
-    """Pixels (height, width) bool inside the bounding rectangle of at least one projected box.
+    """Pixels (height, width) bool inside the bounding rectangle of any box (B, 4, 4), unit cube to camera.
 
     A box counts if all its 8 corners are in front of the camera; occlusion is ignored.
     A pixel is inside when its centre is, borders included.
-
-    Args:
-        camera: The camera of the image.
-        boxes_to_camera: (B, 4, 4) unit cube to the camera's frame, metres.
     """
     mask = np.zeros((camera.height, camera.width), dtype=bool)
     for corners_m in box_corners(boxes_to_camera):

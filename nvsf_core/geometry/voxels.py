@@ -52,12 +52,9 @@ class VoxelIndex(NamedTuple):
 
 
 def occupied_bits(cells: np.ndarray) -> np.ndarray:
-    """Which voxels of each brick have a number, as bits (n_bricks, 8) uint64; bit 8 y + z of word x.
+    """Which voxels of each brick (n, 512) have a number, as bits (n, 8) uint64; bit 8 y + z of word x.
 
     They are a 32nd of `cells`: a walk that asks them first finds them in the processor's caches.
-
-    Args:
-        cells: (n_bricks, 512) int32, as of `VoxelIndex`.
     """
     packed = np.packbits(cells >= 0, axis=1, bitorder="little")
     return packed.view("<u8").astype(np.uint64, copy=False)

@@ -78,12 +78,7 @@ def _nearest(points: Tensor, others: Tensor) -> Tensor:
 
 @torch.no_grad()
 def nearest_by_all_pairs(points: Tensor, others: Tensor) -> Tensor:
-    """Index (n,) of each point's nearest other point, on any device, from all n m distances in chunks.
-
-    Args:
-        points: (n, 3).
-        others: (m, 3), m >= 1.
-    """
+    """Index (n,) of the nearest of others (m, 3) to each point (n, 3), from all n m distances in chunks."""
     rows = max(1, _CHUNK_PAIRS // len(others))
     # Of differences: cdist's matrix product loses digits for clouds far from 0.
     mode = "donot_use_mm_for_euclid_dist"

@@ -61,12 +61,7 @@ def raydrop_loss(hit_logit: Tensor, is_return: Tensor) -> Tensor:
 
 
 def squared_hit_error(hit: Tensor, is_return: Tensor) -> Tensor:
-    """(P^ - P)^2 (r,) of hit probabilities. Eq. 8 of the paper (L_raydrop), to be summed.
-
-    Args:
-        hit: (r,) rendered hit probability, 0..1.
-        is_return: (r,) whether it returned, bool or 0 and 1.
-    """
+    """(P^ - P)^2 (r,) of hit probabilities (r,), 0..1. Eq. 8 of the paper (L_raydrop), to be summed."""
     return (hit - is_return.to(hit)) ** 2
 
 

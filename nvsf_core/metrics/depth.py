@@ -31,13 +31,9 @@ def lidar_depth_images(points_m: np.ndarray, camera: Pinhole) -> tuple[np.ndarra
 
 
 def ray_depth_rmse(predicted_m: np.ndarray, truth_m: np.ndarray) -> Measure:
-    """`image_depth_rmse_m`: root mean square difference of ray lengths at the pixels with a return.
+    """`image_depth_rmse_m`: root mean square difference of ray lengths (H, W), metres, at the returns.
 
     Both sides are capped at 80 m; a pixel without a depth (0 or infinite) counts as 80 m.
-
-    Args:
-        predicted_m: (H, W) ray lengths, metres.
-        truth_m: (H, W) ray lengths from `lidar_depth_images`, 0 = no return.
     """
     same_shape(predicted_m, truth_m)
     there = truth_m > 0.0

@@ -38,15 +38,11 @@ _SPREAD = 0.3
 
 
 def at_exposure(levels: Tensor, log_gain: float) -> Tensor:
-    """Levels as they would be with another exposure; 0 and 1 stay, and all others stay between them.
+    """Levels as they would be with another exposure; 0 and 1 stay, others stay between; cut off outside.
 
     With t the logarithm of the gain and p the shoulder, x becomes e^t x / (1 + (e^(p t) - 1) x^p)^(1/p): in
     the dark x e^t, and 1 at 1. Two gains after each other are one of the sum of their logarithms, so that
     -t leads back.
-
-    Args:
-        levels: Any shape, 0..1; what is outside is cut off.
-        log_gain: Natural logarithm of the gain; 0 changes nothing.
     """
     if log_gain == 0.0:
         return levels

@@ -52,14 +52,10 @@ def pixel_support(view: CameraView, inverse: Tensor, shown: Tensor) -> Tensor:
 
 
 def _glimpsed(view: CameraView, unknown: Tensor) -> Tensor:
-    """(H, W) bool: pixels of which some image shows something, though no map has a confirmed surface there.
+    """(H, W) bool: which `unknown` pixels some image shows, though no map has a confirmed surface there.
 
     Beside a return the depth is known, and the images are asked whether they show just that surface;
     elsewhere an unconfirmed depth of any image counts.
-
-    Args:
-        view: The view.
-        unknown: (H, W) bool, pixels that are asked about.
     """
     assert view.surfaces is not None and view.images.depths is not None
     measured = unknown & (view.gap_px <= _BESIDE_PX)
@@ -153,12 +149,7 @@ def shown_by_others(
 
 
 def without_holes(colour: Tensor, share: Tensor) -> Tensor:
-    """Colours (3, h, w) that are known for a `share`, the rest from ever larger surroundings.
-
-    Args:
-        colour: (3, h, w) in 0..1.
-        share: (h, w), 0..1.
-    """
+    """Colours (3, h, w) that are known for a `share` (h, w), the rest from ever larger surroundings."""
     return _filled(colour * share, share)
 
 

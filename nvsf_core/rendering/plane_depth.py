@@ -101,12 +101,7 @@ def _plane_features(
 
 
 def likeliest_depth(probability: Tensor, inverses: Tensor) -> tuple[Tensor, Tensor]:
-    """Inverse depth (h, w), 1/m, of the planes around the likeliest one, and their probability (h, w).
-
-    Args:
-        probability: (d, h, w) of the planes.
-        inverses: (d,) inverse depths of the planes, 1/m.
-    """
+    """Inverse depth (h, w), 1/m, around the likeliest of d planes, and the probability (h, w) of these."""
     planes = (
         probability.argmax(dim=0)
         + torch.arange(-_MODE_PLANES, _MODE_PLANES + 1, device=probability.device)[:, None, None]

@@ -91,9 +91,7 @@ class ViewDepth:
     def completed(self, label: Tensor, inverse: Tensor) -> "ViewDepth":
         """The same depth; where no image shows a surface but a LiDAR return a moving object, the return's.
 
-        Args:
-            label: (H, W) uint8, of the moving object, 0 = none.
-            inverse: (H, W) of the return, 1/m.
+        `label` (H, W) is the moving object of the return, 0 = none; `inverse` (H, W) the return's, 1/m.
         """
         where = (self.support[0] == 0.0) & (label > 0)
         return replace(

@@ -30,8 +30,7 @@ _SINGULAR = 1e-3
 def origin_words(groups: Sequence[np.ndarray]) -> str:
     """What is to be said of where a scan's lasers look from; empty if nothing speaks against the origin.
 
-    Args:
-        groups: Of each laser (n, 4) points, metres, and the scan that each is of, in file order.
+    Of each laser `groups` has (n, 4) points, metres, and the scan that each is of, in file order.
     """
     apexes = [_apex(part) for rows in groups for part in _rounds(rows)]
     found_m = np.array([one for one in apexes if one is not None]).reshape(-1, 3)

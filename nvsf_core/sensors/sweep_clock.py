@@ -35,11 +35,9 @@ class SweepClock(NamedTuple):
 
 
 def find_clock(fraction: np.ndarray, elapsed: np.ndarray) -> SweepClock | None:
-    """The clock of one scan by its returns' recorded times; None where these do not follow the azimuths.
+    """The clock of a scan by its returns' `sweep_fraction` (N,) and recorded times (N,), in sweeps.
 
-    Args:
-        fraction: (N,) `sweep_fraction` of the returns' azimuths, -0.5..0.5.
-        elapsed: (N,) sweeps after the pose's instant, as recorded.
+    None where these do not follow the azimuths.
     """
     if len(fraction) == 0:
         return None

@@ -25,14 +25,11 @@ _PULL = 1e-4
 
 
 def rays_return(hit: np.ndarray) -> np.ndarray:
-    """Whether the rays of a rendered scan return, bool of the same shape.
+    """Whether rays return, bool of the shape of their hit probabilities (..., firings), in order of firing.
 
     A ray of probability 0.4 or more returns. Of two neighbouring firings that are both below it, the likelier
     one returns if any of the two more likely does than none, by ``1 - (1 - p) (1 - q) >= 1 / 2``: a window of
     which one ray in three returns is no hole.
-
-    Args:
-        hit: (..., firings) hit probabilities, of each laser's firings in order.
     """
     returns = np.asarray(hit >= _HIT_THRESHOLD)
     paired = hit.shape[-1] // 2 * 2

@@ -19,12 +19,7 @@ class WeightAverage:
     """
 
     def __init__(self, model: nn.Module, decay: float | None) -> None:
-        """Start from the model's present weights.
-
-        Args:
-            model: Whose parameters are averaged.
-            decay: 0..1; with 0 no average is kept. None = all updates count alike.
-        """
+        """Start from the present weights; with a decay of 0 no average is kept, None = all count alike."""
         self.decay = decay
         self.updates = 0
         self._model = model

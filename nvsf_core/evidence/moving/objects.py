@@ -174,11 +174,9 @@ class NearObjects:
         self._kept = lru_cache(_KEPT_SURFELS)(_surfels_from)
 
     def at(self, time_s: np.ndarray, origin_m: np.ndarray) -> tuple[ObjectSurfels, ...]:
-        """The objects about the median of the rays' times, rounded to eighths of a frame; none without rays.
+        """The objects about the median of rays' times (r,), rounded to eighths of a frame; none without rays.
 
-        Args:
-            time_s: (r,) instants of the rays.
-            origin_m: (r, 3) scene-local, metres; objects are seen from their mean, rounded to metres.
+        They are seen from the mean of the origins (r, 3), scene-local, rounded to metres.
         """
         if len(time_s) == 0 or not self.evidence:
             return ()

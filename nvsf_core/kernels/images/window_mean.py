@@ -6,11 +6,9 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def window_mean(plane, reach):  # type: ignore[no-untyped-def]
-    """Replace each value by the mean over its window; beyond the border all is 0.
+    """Overwrite each value (h, w) float32 by the mean over its window, `reach` pixels to each side.
 
-    Args:
-        plane: (h, w) float32, overwritten.
-        reach: A window has so many pixels on each side of its own.
+    Beyond the border all is 0.
     """
     rows, columns = plane.shape
     # Sums that run along an image lose digits in single precision.

@@ -51,9 +51,7 @@ def distinguished(one: np.ndarray, other: np.ndarray) -> float:
 def image_features(rgb: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """(n, 6) features of the 16 x 16 patches of an image: brightness, contrast, sharpness by scale, colour.
 
-    Args:
-        rgb: (H, W, 3) uint8.
-        valid: (H, W) bool; patches with other pixels are left out.
+    Patches of `rgb` (H, W, 3) uint8 with pixels that are not `valid` (H, W) are left out.
     """
     value = _patches(rgb.astype(np.float64) / 255.0, (_GREY_SIDE, _GREY_SIDE))
     value = value[_patches(valid, (_GREY_SIDE, _GREY_SIDE)).all(axis=(1, 2))]
@@ -64,14 +62,10 @@ def image_features(rgb: np.ndarray, valid: np.ndarray) -> np.ndarray:
 
 
 def scan_features(range_m: np.ndarray, intensity: np.ndarray) -> np.ndarray:
-    """(n, 6) features of the patches of a scan (8 lasers x 32 firings) that hold returns.
+    """(n, 6) features of the patches (8 lasers x 32 firings) of a scan (L, F) that hold returns; 0 m = none.
 
     The means of blocks are compared, not single returns: the noise of ranges, which recorded scans have and
     rendered ones get where a data set is sampled, must not distinguish them.
-
-    Args:
-        range_m: (L, F) metres, 0 = no return.
-        intensity: (L, F) 0..1.
     """
     ranges, shine = _patches(range_m, _SCAN_PATCH), _patches(intensity, _SCAN_PATCH)
     returned = ranges > 0.0

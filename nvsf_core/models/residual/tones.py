@@ -47,14 +47,10 @@ class ToneCurve:
 
 
 def tone_curve(rgb: np.ndarray, like: np.ndarray) -> ToneCurve | None:
-    """The curve by which images look like those of a camera beside; None where they do already.
+    """The curve by which images (n, H, W, 3) uint8 look like those of a camera; None where they do already.
 
     None, too, where more than half is dark or glares, so that levels do not tell. Fitted to the logarithms of
     the quantiles of all pixels, which need no correspondence: over a drive a pair of cameras sees the same.
-
-    Args:
-        rgb: (n, H, W, 3) uint8.
-        like: (m, H, W, 3) uint8.
     """
     fits, apart = [], []
     for colour in range(3):

@@ -239,9 +239,7 @@ def object_ids(instance: np.ndarray, table: Sequence[Mapping[str, Any]]) -> np.n
 def depth_m(model: Pinhole | MeiFisheye, range_m: np.ndarray) -> np.ndarray:
     """Depth (H, W) float32 along the optical axis, of a fisheye along the ray, metres; 0 = not known.
 
-    Args:
-        model: The camera.
-        range_m: (H, W) length of each pixel's ray, metres; infinite or 0 = not known.
+    Of the lengths (H, W) of the pixels' rays, of which infinite ones are not known either.
     """
     known = np.where(np.isfinite(range_m) & (range_m > 0.0), range_m, 0.0).astype(np.float64)
     if isinstance(model, Pinhole):
