@@ -12,13 +12,7 @@ DOCS = ROOT / "docs"
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]], rule: str = "") -> str:
-    """A table, each row on a line that ends.
-
-    Args:
-        head: Titles of the columns.
-        rows: Cells as they are shown.
-        rule: The line below the head, where it aligns columns; default `| --- |` for each.
-    """
+    """A table, each row on a line that ends; `rule` is the line below the head, where it aligns columns."""
     lines = [_line(head), rule or _line(["---"] * len(head)), *map(_line, rows)]
     return "\n".join(lines) + "\n"
 

@@ -60,13 +60,7 @@ def _is_alike(end_m, direction, range_m, position_m):  # type: ignore[no-untyped
 
 @njit(parallel=True, cache=True, nogil=True)
 def holds_points(points_m, index, reach=0):  # type: ignore[no-untyped-def]
-    """Whether (n,) bool points lie in a voxel that holds a return, or at most `reach` voxels beside one.
-
-    Args:
-        points_m: (n, 3) scene-local metres.
-        index: A `VoxelIndex`.
-        reach: Whole voxels along each axis.
-    """
+    """Whether points (n, 3) lie in a voxel of a `VoxelIndex`, or at most `reach` voxels beside one."""
     origin_m, voxel_m = index.origin_m, index.voxel_m
     holds = np.zeros(len(points_m), np.bool_)
     for task in prange((len(points_m) + _RAYS_A_TASK - 1) // _RAYS_A_TASK):

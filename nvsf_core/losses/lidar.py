@@ -11,10 +11,7 @@ CLAMP_M = 3.0
 def depth_loss(weights: Tensor, range_m: Tensor, true_range_m: Tensor) -> Tensor:
     """Weighted range error of returns, metres (r,): sum_k w_k min(|t_k - t|, 3) + 3 (1 - sum_k w_k).
 
-    Args:
-        weights: (r, k) of the surfaces along each ray, sum at most 1.
-        range_m: (r, k) of the surfaces.
-        true_range_m: (r,) recorded.
+    Weights (r, k), of a sum of at most 1, and ranges (r, k) are of a ray's surfaces; t (r,) is recorded.
     """
     error = (range_m - true_range_m[:, None]).abs().clamp_max(CLAMP_M)
     missing = 1.0 - weights.sum(dim=1)
@@ -45,11 +42,7 @@ def surface_likelihood(weights: Tensor, range_m: Tensor, true_range_m: Tensor) -
 
     Its minimum is where each weight is the share of rays that end on that surface. The minimum of
     `depth_loss` gives the likeliest surface all weight, so that thin objects, which most rays pass, vanish.
-
-    Args:
-        weights: (r, k) of the surfaces along each ray, sum at most 1.
-        range_m: (r, k) of the surfaces.
-        true_range_m: (r,) recorded.
+    Arguments as of `depth_loss`.
     """
     near = torch.exp(-(range_m - true_range_m[:, None]).abs() / SPREAD_M)
     return -torch.log((weights * near).sum(dim=1) + _OUTLIER)
@@ -71,11 +64,5 @@ def intensity_loss(intensity_logit: Tensor, true_intensity: Tensor) -> Tensor:
 
 
 def squared_intensity_error(intensity: Tensor, true_intensity: Tensor, is_return: Tensor) -> Tensor:
-    """(I^ - I)^2 (r,), 0 for dropped rays. Eq. 7 of the paper (L_intensity), to be summed.
-
-    Args:
-        intensity: (r,) rendered, 0..1.
-        true_intensity: (r,) recorded, 0..1.
-        is_return: (r,) bool, whether the ray returned.
-    """
+    """(I^ - I)^2 (r,) in 0..1, 0 for dropped rays. Eq. 7 of the paper (L_intensity), to be summed."""
     return ((intensity - true_intensity) * is_return) ** 2

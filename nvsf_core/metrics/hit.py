@@ -122,13 +122,7 @@ def hit_columns(firings: int) -> int:
 
 
 def hit_cells(points_m: np.ndarray, laser: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Cells with at least one return, bool of the `shape` (lasers, columns); the columns divide a rotation.
-
-    Args:
-        points_m: (N, 3) sensor frame.
-        laser: (N,) integer, the row.
-        shape: Lasers and columns.
-    """
+    """Cells with a return, bool (lasers, columns), of points (N, 3); the columns divide a rotation."""
     columns = shape[1]
     x_m, y_m = points_m[:, 0].astype(np.float64), points_m[:, 1].astype(np.float64)
     share = np.mod(np.arctan2(y_m, x_m) / (2.0 * np.pi), 1.0)

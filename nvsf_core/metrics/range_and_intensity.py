@@ -80,13 +80,7 @@ def intensity_image_metrics(predicted: np.ndarray, truth: np.ndarray) -> Mapping
 def ray_intensity_metrics(
     predicted: np.ndarray, truth: np.ndarray, is_covered: np.ndarray
 ) -> Mapping[str, Measure]:
-    """`intensity_rmse` along the recorded rays that have a predicted return; `n_valid` = their number.
-
-    Args:
-        predicted: (R,) in 0..1.
-        truth: (R,) in 0..1.
-        is_covered: (R,) bool, whether the ray has a predicted return.
-    """
+    """`intensity_rmse` (of 0..1) along the rays with a predicted return; `n_valid` = their number."""
     same_shape(predicted, truth)
     if truth.size and not is_covered.any():
         return {"intensity_rmse": undefined("no ray was rendered with a return")}

@@ -24,10 +24,7 @@ class Pooled(NamedTuple):
 def pool_by_support(rows: Iterable[Mapping[str, Any]], protocol: str, metric: str) -> dict[Support, Pooled]:
     """A metric by support, from seen to guessed; decibels are pooled as mean squares.
 
-    Args:
-        rows: Rows of `scene_metrics`, of one recipe and seed; those of other metrics and regions are ignored.
-        protocol: Of the metric.
-        metric: Its name.
+    Of rows of `scene_metrics` of one recipe and seed; those of other metrics and regions are ignored.
     """
     mine = [row for row in rows if (row["protocol"], row["metric"]) == (protocol, metric)]
     return {

@@ -223,13 +223,7 @@ class ScanLookups:
     """What k training scans recorded where the rays of a sweep end, for all who ask on the sweep's way."""
 
     def __init__(self, scan_grids: RecordedSweeps, scans: np.ndarray, *, gaps_hide: bool = False) -> None:
-        """Nothing is looked up yet.
-
-        Args:
-            scan_grids: All training scans.
-            scans: (k,) numbers of those that are asked, nearest in time first.
-            gaps_hide: As of `look`.
-        """
+        """Take the scans (k,) that are asked, nearest in time first; `gaps_hide` as of `look`."""
         self.scan_grids, self.scans, self._gaps_hide = scan_grids, scans, gaps_hide
         self._ends_m, self._found = np.zeros((0, 3), np.float32), np.zeros((len(scans), 0, 5), np.float32)
 

@@ -81,10 +81,7 @@ def static_sources(images: Tensor, chosen: list[int], poses: np.ndarray, own: in
 def _around(extreme: np.ufunc, image: np.ndarray, reach_px: int) -> np.ndarray:
     """The minimum or maximum (H, W) over the square around each pixel, as scipy's filters in a tenth of time.
 
-    Args:
-        extreme: `np.minimum` or `np.maximum`.
-        image: (H, W).
-        reach_px: Half a side of the square, without its middle.
+    A side is `reach_px` pixels on either side of the middle; `extreme` is `np.minimum` or `np.maximum`.
     """
     found = np.pad(image, reach_px, mode="edge")
     for _ in range(2):

@@ -72,12 +72,9 @@ def nats(logit: np.ndarray, returned: np.ndarray) -> float:
 
 
 def fit_blend(network_logit: np.ndarray, ray_head_logit: np.ndarray, returned: np.ndarray) -> HitBlend:
-    """The blend of least cross-entropy; no weight is negative.
+    """The blend of least cross-entropy of hit logits (n,) of the same firings; no weight is negative.
 
-    Args:
-        network_logit: (n,) hit logits of the raydrop network, for firings of scans it was not trained on.
-        ray_head_logit: (n,) hit logits of the field's ray head, for the same firings.
-        returned: (n,) bool, whether they returned; n >= 1.
+    The raydrop network must not have been trained on the scans of these firings; `returned` (n,), n >= 1.
     """
     columns = np.stack([network_logit, ray_head_logit, np.ones(len(returned))]).astype(np.float64)
     start = np.array([EVEN.network, EVEN.ray_head, EVEN.offset])

@@ -83,13 +83,7 @@ def by_lasers(
 
 
 def put_back_own_vehicle(rendered: RenderedRays, rays: SweepRays, evidence: SceneEvidence) -> RenderedRays:
-    """Add returns from the own vehicle for rays that met it in most training scans.
-
-    Args:
-        rendered: Of all r rays of the sweep.
-        rays: Of a sweep of the recording sensor.
-        evidence: Range and intensity of the own vehicle by laser and azimuth.
-    """
+    """Add returns from the own vehicle for rays, of all r of a sweep, that met it in most training scans."""
     cells = evidence.own_range_m.shape[1]
     # Most lasers look over the car: only the rays of the others are computed.
     low = np.flatnonzero(evidence.own_range_m.max(axis=1)[rays.laser] > 0)

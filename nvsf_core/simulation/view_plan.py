@@ -142,23 +142,14 @@ class SweepPlan(ViewPlan):
         return recorded_s if self.period_s is None or recorded_s == 0.0 else self.period_s
 
     def fired_s(self, time_s: float, elapsed: np.ndarray, recorded_s: float) -> np.ndarray:
-        """(r,) instants of the scene at which rays are fired.
-
-        Args:
-            time_s: The sweep's instant.
-            elapsed: (r,) sweeps after it.
-            recorded_s: Duration of a recorded sweep.
-        """
+        """(r,) instants of the scene at which rays are fired, `elapsed` sweeps after that of the sweep."""
         return np.asarray(time_s + elapsed * (self.sweep_s(recorded_s) * self.scene_rate))
 
 
 def recorded_sweep(table: LaserTable, time_s: float, mount: np.ndarray | None = None) -> SweepPlan:
-    """One sweep of the recording sensor on the recorded path.
+    """One sweep of the recording sensor on the recorded path, at `time_s` after the first frame.
 
-    Args:
-        table: The sensor.
-        time_s: Instant of the sweep's pose, seconds since the first frame.
-        mount: (4, 4) pose of the sensor in its recorded frame; None = in its own place.
+    `mount` is its pose (4, 4) in its recorded frame; None = in its own place.
     """
     return SweepPlan("recorded", np.zeros(1, np.int64), np.array([time_s]), mount, table, True)
 

@@ -162,11 +162,7 @@ def _follow_metrics(task: Task, location: str, found: Mapping[str, Any]) -> None
     """Write manifest and card of a version that is there anew, if other errors are measured now.
 
     They do where a view's truth became known later, metrics were measured anew, or `render_view` made it.
-
-    Args:
-        task: Task of the stage.
-        location: Of the version.
-        found: The manifest's entries `rendering`, taken where it has none, and `field_metrics`.
+    Of `found`, `rendering` is taken where the manifest has none, `field_metrics` always.
     """
     folder = task.store.path(location)
     written = dict(read_document(folder / MANIFEST_NAME))

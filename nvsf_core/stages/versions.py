@@ -54,13 +54,7 @@ def versions_lock(store: SceneStore) -> Path:
 
 @contextlib.contextmanager
 def reading_versions(home: Path, scenes: Iterable[str], progress: Progress) -> Iterator[None]:
-    """Keep the versions of scenes' data sets from being removed while they are read.
-
-    Args:
-        home: Folder of all outputs.
-        scenes: Names of the scenes.
-        progress: Told every few seconds of waiting.
-    """
+    """Keep the versions of scenes' data sets from being removed while they are read."""
     with contextlib.ExitStack() as held:
         for scene in scenes:
             path, words = versions_lock(SceneStore(home, scene)), f"data sets of {scene}, of which some go"
@@ -79,11 +73,6 @@ def damage_at_rest(store: SceneStore, version: Version, progress: Progress) -> s
 
     While other errors are written into its manifest and card, or it is made anew, it looks damaged: such runs
     are waited for, and it is looked at again.
-
-    Args:
-        store: The scene's.
-        version: The version.
-        progress: Told every few seconds of waiting.
     """
     damage = damage_of_version(version)
     if damage is None:

@@ -306,10 +306,7 @@ def path_patterns(spec: FileSpec) -> list[str]:
 def violations(spec: FileSpec, arrays: Mapping[str, np.ndarray], *, whole: bool = True) -> list[str]:
     """Violations of the contract by the arrays of a Zarr group, one sentence each; other arrays are allowed.
 
-    Args:
-        spec: The contract of the group.
-        arrays: Name to array.
-        whole: Whether these are all arrays of the group, so that missing ones are violations.
+    If these are the `whole` group, missing ones are violations.
     """
     found: list[str] = []
     for field in spec.fields:

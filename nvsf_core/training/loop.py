@@ -121,13 +121,7 @@ def make_optimiser(model: nn.Module, spec: TrainingSpec) -> Adam:
 def side_by_side(
     parts: int, generator: torch.Generator, loss: Callable[[torch.Generator], LossBreakdown]
 ) -> list[Part]:
-    """Parts of a step whose loss is the mean of theirs, each with a generator of its own.
-
-    Args:
-        parts: How many.
-        generator: Of the step; seeds the others.
-        loss: Of one part.
-    """
+    """Parts of a step whose loss is the mean of theirs, each with a generator that the step's seeds."""
 
     def part(seed: int) -> Part:
         return lambda: [loss(torch.Generator().manual_seed(seed)).scaled(1.0 / parts)]

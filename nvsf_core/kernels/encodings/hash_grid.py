@@ -216,13 +216,7 @@ class HashGrid(nn.Module):
     def __init__(
         self, layout: GridLayout, generator: torch.Generator, backend: Backend | None = None
     ) -> None:
-        """Sample the table's initial numbers.
-
-        Args:
-            layout: Sizes of the grid.
-            generator: On the CPU; the only source of randomness.
-            backend: Overrides the choice of the kernel, for tests.
-        """
+        """Sample the table's initial numbers on the CPU; `backend` overrides the kernel, for tests."""
         super().__init__()
         self.layout = layout
         self.backend = backend

@@ -112,13 +112,7 @@ def parallax_curve(looks: Sequence[LookBack], fills: Sequence[float]) -> Paralla
 
 
 def expected_difference(look: LookBack, guessed: np.ndarray, curve: ParallaxCurve) -> np.ndarray:
-    """(m,) squared difference that recorded images lead to expect of each pixel.
-
-    Args:
-        look: The rendered image, carried back.
-        guessed: (H, W) bool: pixels that are guessed.
-        curve: Of recorded images.
-    """
+    """(m,) squared difference that recorded images lead to expect of each pixel; `guessed` is (H, W) bool."""
     least_rad = look.parallax_rad.min(axis=0)
     shown = np.isfinite(least_rad)
     expected = np.full(least_rad.shape, curve.fill)

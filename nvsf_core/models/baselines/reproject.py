@@ -57,10 +57,7 @@ def _sources(images: CameraImages, pose: np.ndarray) -> Sources:
 def depth_points(recording: Recording, instant_s: float, *, leave_out: int | None = None) -> np.ndarray:
     """Returns (m, 3) float32, scene-local, metres, of the scans nearest to an instant; none without LiDAR.
 
-    Args:
-        recording: The drive.
-        instant_s: Seconds since the first frame.
-        leave_out: Do as if the scan of the frame of this number were held out.
+    The scan of the frame `leave_out` is taken to be held out.
     """
     if recording.lidar is None:
         return np.zeros((0, 3), np.float32)
@@ -72,10 +69,7 @@ def depth_points(recording: Recording, instant_s: float, *, leave_out: int | Non
 def depth_scans(sweeps: Sweeps, instant_s: float, *, leave_out: int | None = None) -> list[int]:
     """Numbers of the training scans nearest to an instant, at most 10, the nearest first.
 
-    Args:
-        sweeps: Of the drive.
-        instant_s: Seconds since the first frame.
-        leave_out: Do as if the scan of the frame of this number were held out.
+    The scan of the frame `leave_out` is taken to be held out.
     """
     time_s = sweeps.arrays["time_s"]
     training = np.flatnonzero(sweeps.is_training)

@@ -48,12 +48,9 @@ class PaperModel:
     def render_pano(
         self, pose: np.ndarray, time_s: float, *, column_step: int = 1
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Render a pano: range in metres, intensity and hit probability (h, w) along its own rays.
+        """Render a pano's own rays, of every `column_step`-th column: range (m), intensity, hit probability.
 
-        Args:
-            pose: (4, 4) LiDAR to scene-local.
-            time_s: Seconds since the first frame.
-            column_step: Render every `column_step`-th column only.
+        Each is (h, w); the pose (4, 4) is LiDAR to scene-local.
         """
         image = self.raw_pano(pose, self.frame_at(time_s), column_step)
         range_m, intensity, hit = image[2] * self.bounds.half_m, image[1], image[0]

@@ -85,10 +85,7 @@ class ShownCamera:
     def _view(self, index: int, leave_out: Collection[int], own: int | None = None) -> CameraView:
         """The view of one of its images; the scan of its instant is known to the others' depths alone.
 
-        Args:
-            index: Of the image among its own.
-            leave_out: Numbers of shared images that are no sources.
-            own: As in `camera_view`.
+        Shared images in `leave_out` are no sources; `own` as in `camera_view`.
         """
         recording = self.drive.world.recording
         pose = self.drive.left_out_pose(self.name, index)

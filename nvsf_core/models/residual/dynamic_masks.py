@@ -29,10 +29,7 @@ class MovingWorld:
     ) -> np.ndarray:
         """Static points (m, 3) float32, scene-local, of the scans around an instant; none without LiDAR.
 
-        Args:
-            instant_s: Seconds since the first frame.
-            leave_out: Do as if the scan of the frame of this number were held out.
-            most: Number of scans at most; None = as many as for any image's depth.
+        The scan of the frame `leave_out` is taken to be held out; at most `most` scans, None = as for images.
         """
         if self.recording.lidar is None:
             return np.zeros((0, 3), np.float32)

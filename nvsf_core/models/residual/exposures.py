@@ -51,10 +51,7 @@ def exposures_of(world: MovingWorld, cameras: Sequence[str]) -> dict[str, Exposu
 def evened(exposures: Exposures | None, rgb: np.ndarray, index: int) -> np.ndarray:
     """A training image (h, w, 3) of `rgb` (n, h, w, 3) uint8, levels 0..255, at the common exposure.
 
-    Args:
-        exposures: Of the camera; None = fixed, the image is returned as it is.
-        rgb: All training images.
-        index: Of the image.
+    Without exposures, which are then fixed, it is returned as it is.
     """
     if exposures is None:
         return rgb[index]

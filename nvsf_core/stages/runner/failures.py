@@ -21,10 +21,7 @@ _FOLDER = ".failed"
 def remember_failure(store: SceneStore, stage: str, words: str) -> None:
     """Write down why a stage failed; a disk that refuses must not hide the failure itself.
 
-    Args:
-        store: The scene's.
-        stage: Name of the stage; of one that is run per recipe its output's place, as `field/lean/0`.
-        words: The error, without scene and stage.
+    `stage` is its name, or the place of the output of one that is run per recipe, as `field/lean/0`.
     """
     with contextlib.suppress(OSError, StoreError):
         folder = store.path(_FOLDER)

@@ -26,13 +26,7 @@ class Heartbeat:
     """Passes progress lines on; inside `with` it adds a line after `silence_s` without one."""
 
     def __init__(self, progress: Callable[[str], None], name: str, silence_s: float = SILENCE_S) -> None:
-        """Wrap a progress.
-
-        Args:
-            progress: Receives all lines, also from the heartbeat's thread.
-            name: Prefix of the added lines, such as `[demo] evidence`.
-            silence_s: Longest time without a line, seconds.
-        """
+        """Wrap a progress; after `silence_s` a thread adds lines that begin with `name`."""
         self._progress, self._name, self._silence_s = progress, name, silence_s
         self._lock, self._ended = threading.Lock(), threading.Event()
         self._started = self._said = time.monotonic()

@@ -41,11 +41,6 @@ def verify_scene(
 
     The recorded files are read anew, whatever is remembered of them, and so are the outputs' own. What
     another run replaces while it is read looks damaged: that run is waited for, and it is looked at again.
-
-    Args:
-        run: The scene, recipe and seeds.
-        stages: All stages of the flow, in order.
-        progress: Told every few seconds of waiting.
     """
     by_name = {stage.name: stage for stage in stages}
     # One reader for all: it reads each file once.

@@ -32,10 +32,7 @@ class MovingBoxes:
     def in_camera(self, frame: int, time_s: float, camera_to_world: np.ndarray) -> np.ndarray:
         """(B, 4, 4) unit cube to a camera's frame, of the objects that have a box in a recorded frame.
 
-        Args:
-            frame: The frame of the image.
-            time_s: When the image was taken, which need not be the frame's instant.
-            camera_to_world: (4, 4) pose of the camera.
+        The image was taken at `time_s`, which need not be the frame's instant.
         """
         there = [self._at(one, time_s) for one in self.to_world.get(frame, {})]
         return invert_pose(camera_to_world) @ np.array(there).reshape(-1, 4, 4)

@@ -182,10 +182,7 @@ def _clocks(recording: Recording, view: View) -> dict[str, np.ndarray]:
 def view_attrs(recording: Recording, view: View, *, by_images: bool = False) -> dict[str, Any]:
     """Attributes of the data contract on a view's plan and sensors.
 
-    Args:
-        recording: The drive.
-        view: The view.
-        by_images: Whether images supplied the rays above the recorded lasers.
+    `by_images`: images supplied the rays above the recorded lasers.
     """
     table = None if view.sweeps is None else view.sweeps.table
     return plan_attrs(view.plan) | {

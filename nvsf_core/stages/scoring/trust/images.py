@@ -125,12 +125,9 @@ class RecordedCamera:
 def image_cues(
     path: Path, camera: RecordedCamera, *, is_held_out: bool
 ) -> Iterator[tuple[int, Mapping[str, float]]]:
-    """Cues of each image of a camera in a stored view: its frame, and cue to value.
+    """Cues of each image of a camera in a stored view of the model: its frame, and cue to value.
 
-    Args:
-        path: Zarr group of the model's view.
-        camera: What the camera recorded.
-        is_held_out: Whether the view is of held-out frames: no image then measures itself.
+    Of a view of held-out frames no image measures itself.
     """
     a = _view_arrays(path, camera.name)
     for i, frame in enumerate(a["frame"].tolist()):

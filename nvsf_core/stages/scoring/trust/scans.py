@@ -252,12 +252,9 @@ def read_training_scans(task: Task) -> RecordedScans | None:
 def scan_cues(
     path: Path, recorded: RecordedScans, asked: Mapping[str, str | SensorEntry | None]
 ) -> Iterator[tuple[int, Mapping[str, float]]]:
-    """Cues of each sweep of a stored view: its frame, and cue to value.
+    """Cues of each sweep of a stored view of the model: its frame, and cue to value.
 
-    Args:
-        path: Zarr group of the model's view.
-        recorded: The drive's training scans.
-        asked: The LiDAR that each view of the catalogue asks for; None = the recording one.
+    `asked` is the LiDAR that each view of the catalogue asks for; None = the recording one.
     """
     a, attrs = read_arrays(path, *_VIEW), read_attrs(path)
     sensor = str(attrs["sensor"])
