@@ -45,7 +45,7 @@ def read_pose_file(path: Path) -> PoseFile:
                 f"{where}: expected a rotation, found {rotation.round(3).tolist()}; correct the line"
             )
         if times_s and values[0] <= times_s[-1]:
-            raise DataError(f"{where}: expected ascending seconds, found {values[0]:g} after {times_s[-1]:g}")
+            raise DataError(f"{where}: expected ascending seconds, found {values[0]} after {times_s[-1]}")
         times_s.append(float(values[0]))
         poses.append(tuple(pose.reshape(-1).tolist()))
     if not poses:

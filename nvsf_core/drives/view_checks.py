@@ -55,6 +55,11 @@ def moments_s(view: ViewEntry, frames: Sequence[int] | np.ndarray, frame_time_s:
             start_s,
             end_s,
         )  # while the scene is frozen, a path of one's own may last longer than the drive
+    if span_s[1] < span_s[0] - _SLACK_S:
+        raise DataError(
+            f"expected a path between {first_s:.10g} and {last_s:.10g} seconds after the scene's first "
+            f"frame, found one from {start_s:.10g} to {end_s:.10g}; correct its times"
+        )
     if view.times_s is not None:
         found: np.ndarray = np.asarray(view.times_s, np.float64)
     elif view.rate_hz is not None:
@@ -66,7 +71,8 @@ def moments_s(view: ViewEntry, frames: Sequence[int] | np.ndarray, frame_time_s:
     elif view.frames == "all":
         found = frame_time_s[(frame_time_s >= span_s[0] - _SLACK_S) & (frame_time_s <= span_s[1] + _SLACK_S)]
     else:
-        wanted = np.asarray(view.frames, np.int64)
+        # Ascending whatever order they are asked for in: a data set's clock never runs backwards.
+        wanted = np.unique(np.asarray(view.frames, np.int64))
         missing = sorted(set(wanted.tolist()) - set(np.asarray(frames).tolist()))
         if missing:
             raise DataError(
@@ -173,9 +179,13 @@ def _require_sweeps_within(
     first_s, last_s = float(times.time_s[0]) - spare_s, float(times.time_s[-1]) + spare_s
     outside = moments[(moments < first_s - _SLACK_S) | (moments > last_s + _SLACK_S)]
     if len(outside) and any(drive.find_scan(frame) is not None for frame in drive.frames):
+        what = (
+            f"times from {first_s:g} to {last_s:g} seconds, found {outside.tolist()!s:.200}"
+            if first_s <= last_s
+            else f"a path at least as long, found one of {np.ptp(times.time_s):g} s; lower `speed`"
+        )
         raise DataError(
-            f"speed and sensor: a sweep goes on for {2 * half_s:g} s of the recorded path: expected times "
-            f"from {first_s:g} to {last_s:g} seconds, found {outside.tolist()!s:.200}"
+            f"speed and sensor: a sweep goes on for {2 * half_s:g} s of the recorded path: expected {what}"
         )
 
 

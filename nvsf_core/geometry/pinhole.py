@@ -37,7 +37,7 @@ class Pinhole:
         """Refuse unphysical values."""
         fault = intrinsics_fault((self.fx, self.fy), (self.cx, self.cy), (self.width, self.height))
         if fault is not None:
-            raise CalibrationError(f"{fault}; check P_rect and S_rect")
+            raise CalibrationError(fault)
 
     @property
     def matrix(self) -> np.ndarray:

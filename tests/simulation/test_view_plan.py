@@ -44,6 +44,21 @@ def test_a_frozen_instant_stops_the_scene_and_not_the_car():
     assert one.near_time_s(0.5) == pytest.approx(0.8) and one.moment_s(0.5) == pytest.approx(0.8)
 
 
+def test_frames_in_any_order_are_shown_in_the_order_of_time():
+    paths = ({}, {"waypoints": (Waypoint(time_s=0.0, position_m=(0.0, 0.0, 0.0)),)})
+    for path in paths:
+        found = plan(frames=(18, 12, 14), **path)
+        assert np.allclose(found.stamp_s, [0.2, 0.4, 0.8])
+
+
+def test_a_path_that_lies_at_other_times_than_the_drive_is_refused_with_both_times():
+    rows = ((1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0),) * 2
+    unix = PoseFile(name="p", time_s=(1369728000.25, 1369728003.5), poses=rows)
+    for keys in ({}, {"rate_hz": 10.0}, {"times_s": (0.5,)}):
+        with pytest.raises(MissingFrameError, match=r"0 and 1 seconds .* from 1369728000 to 1369728004"):
+            plan(pose_file=unix, **keys)
+
+
 def test_half_speed_shows_twice_as_many_instants_and_stamps_them_by_the_sensors_clock():
     found = plan(rate_hz=10.0, speed=0.5)
     assert np.allclose(np.diff(found.time_s), 0.05) and len(found.time_s) == 21

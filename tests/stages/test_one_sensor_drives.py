@@ -249,6 +249,9 @@ def test_a_fast_view_is_refused_only_where_sweeps_would_reach_beyond_the_path(
     fast = (ViewEntry(name="fast", speed=5.0),)
     with pytest.raises(DataError, match=r"view fast: .* a sweep goes on for 0\.5 s"):
         require_views(replace(scene_of(drive), views=fast))
+    faster = (ViewEntry(name="faster", speed=100.0),)
+    with pytest.raises(DataError, match=r"expected a path at least as long, found one of .* lower `speed`"):
+        require_views(replace(scene_of(drive), views=faster))
     require_views(replace(scene_of(camera_only.home.parent / "drive"), views=fast))
 
 

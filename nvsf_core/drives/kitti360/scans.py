@@ -122,11 +122,11 @@ def write_scan(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:
     rows = np.column_stack([points_m, intensity]).astype("<f4")
     if not np.isfinite(rows).all():
         raise DataError(f"expected finite returns for {path}, found others; leave those returns out")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    rows.tofile(path)
+    write_column(path, rows)
 
 
 def write_column(path: Path, values: np.ndarray) -> None:
-    """Write one value a return, as bare numbers, in a file beside the scan's; its folder is made."""
+    """Write numbers, as a scan or one value of each of its returns, as bare bytes; the folder is made."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    # Not `tofile`, whose error does not say that the disk is full.
     path.write_bytes(values.tobytes())

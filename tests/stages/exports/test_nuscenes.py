@@ -1,6 +1,8 @@
 """The nuScenes export, read by a reader of its documented schema, and by the devkit where it is."""
 
+import errno
 import json
+import resource
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -165,3 +167,14 @@ def test_the_devkit_reads_samples_points_and_boxes(root: Path) -> None:
     assert any(np.allclose(box.center, (-centre[1], centre[0], centre[2]), atol=1e-3) for box in boxes)
     _, _, intrinsic = read.get_sample_data(sample["data"]["CAM_FRONT"])
     assert np.allclose(intrinsic, small.PINHOLE.matrix)
+
+
+def test_what_stops_a_file_is_said(tmp_path: Path) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(OSError) as caught:
+            write_nuscenes(tmp_path, small.data_set())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert caught.value.errno == errno.EFBIG, "as on a full disk: the message names it"
