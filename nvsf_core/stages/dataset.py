@@ -31,6 +31,7 @@ from nvsf_core.stages.exports.manifest import (
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import finish_data_set, rewrite_manifest, write_data_set
 from nvsf_core.stages.flow import DATASET, FIELD, NOVEL_VIEWS, SCENE_METRICS
+from nvsf_core.stages.runner.facts import view_facts
 from nvsf_core.stages.runner.host import code_commit
 from nvsf_core.stages.runner.record import content_of, read_record
 from nvsf_core.stages.runner.stage import Check, StageOutput, Task
@@ -43,6 +44,8 @@ from nvsf_core.stores.tables import read_rows
 
 VERSIONS_NAME = "versions.json"
 _ERROR_KEYS = ("split", "region", "protocol", "sensor", "metric", "value", "n_frames", "n_defined")
+_NOT_RENDERED = frozenset({"exports", "hits", "range_noise_m", "truth"})
+"""Keys of a view that decide nothing of its rendering."""
 _PACKAGES = ("nvsf", "numpy", "scipy", "torch", "numba", "zarr", "pyarrow", "opencv-contrib-python-headless")
 
 
@@ -90,9 +93,11 @@ def run(task: Task) -> StageOutput:
     held_out = ViewEntry(name="test", exports=("bin", "ply"))
     output = StageOutput()
     made: list[dict[str, Any]] = []
+    late = _asked_since(task, rendered)
     for view in (held_out, *task.scene.views):
-        if not (rendered / view.name / "model.zarr").is_dir():
-            output.metadata[view.name] = reason = _why_absent(rendered, view.name)
+        if view.name in late or not (rendered / view.name / "model.zarr").is_dir():
+            reason = late.get(view.name) or _why_absent(rendered, view.name)
+            output.metadata[view.name] = reason
             task.progress(f"[{task.scene.name}] dataset: {view.name} {reason}")
             continue
         version = dataset_version(task, view, sources)
@@ -137,6 +142,9 @@ def run(task: Task) -> StageOutput:
     (task.folder / VERSIONS_NAME).write_text(json.dumps(made, indent=1))
     output.metadata |= _metadata(made)
     output.checks = _checks(made)
+    if late:
+        detail = "; ".join(f"{name} {reason}" for name, reason in late.items())
+        output.checks.append(Check(name="views_are_rendered_as_asked", passed=False, detail=detail))
     return output
 
 
@@ -181,6 +189,30 @@ def _errors(rows: list[dict[str, Any]]) -> list[list[Any]]:
 def _facts_of(view: ViewEntry) -> dict[str, Any]:
     """The view's entry without its true images, which no data set is made from."""
     return {key: value for key, value in asdict(view).items() if key != "truth"}
+
+
+def _asked_since(task: Task, rendered: Path) -> dict[str, str]:
+    """Views that are not rendered as the catalogue asks for them now, each with the reason in words.
+
+    It may have changed since, where this stage is run alone or while a run goes on; a manifest that says what
+    is asked for now would then lie about what was rendered.
+    """
+    known = (read_record(rendered) or {}).get("facts", {}).get("views")
+    if known is None:  # of a version that kept none
+        return {}
+    then, found = {view["name"]: view for view in known}, {}
+    for now in view_facts(task.scene):
+        before = then.get(now["name"])
+        if before is None:
+            found[now["name"]] = "not rendered yet: it was asked for since; run novel_views, then this again"
+            continue
+        keys = sorted(key for key in {*before, *now} - _NOT_RENDERED if before.get(key) != now.get(key))
+        if keys:
+            found[now["name"]] = (
+                f"left out: rendered before {', '.join(keys)} changed in the catalogue; run novel_views, "
+                "then this again"
+            )
+    return found
 
 
 def _why_absent(rendered: Path, view: str) -> str:

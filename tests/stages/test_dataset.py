@@ -16,7 +16,7 @@ from nvsf_core.simulation.raydrop import sharpen_hits
 from nvsf_core.simulation.scan import sample_scan
 from nvsf_core.stages.exports.manifest import SEAL, damaged_data_set, write_manifest
 from nvsf_core.stages.flow import DATASET
-from nvsf_core.stages.runner.facts import facts_of, scene_facts
+from nvsf_core.stages.runner.facts import facts_of, scene_facts, view_facts
 from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
 from nvsf_core.stages.sizes import dataset_bytes
 from nvsf_core.stores.arrays import write_arrays
@@ -285,6 +285,26 @@ def test_views_that_share_a_nearest_frame_do_not_overwrite_each_other(tmp_path: 
         "0000000000.bin",
         "0000000001.bin",
     ]
+
+
+def test_a_view_that_is_not_rendered_as_it_is_asked_for_now_is_left_out_and_said(tmp_path: Path) -> None:
+    task = _task(tmp_path)
+    (asked,) = task.scene.views
+    facts = {"views": view_facts(task.scene)}
+    record = {"fingerprint": "of then", "metadata": {}, "previews": {}, "checks": [], "seconds": 1.0}
+    (task.store.path("novel_views/quick/0") / "stage.json").write_text(json.dumps(record | {"facts": facts}))
+
+    def made(*views: ViewEntry) -> tuple[StageOutput, dict[str, Path]]:
+        return _run(replace(task, scene=replace(task.scene, views=views)))
+
+    output, folders = made(replace(asked, exports=("pcd",)))
+    assert set(folders) == {"test", "shift_1m"}, "formats are written from what is rendered"
+    assert all(check.passed for check in output.checks)
+    output, folders = made(replace(asked, shift_m=(0.0, -2.0, 0.0)), replace(asked, name="new"))
+    assert set(folders) == {"test"}
+    assert str(output.metadata["shift_1m"]).startswith("left out: rendered before shift_m changed")
+    assert str(output.metadata["new"]).startswith("not rendered yet")
+    assert [check.name for check in output.checks if not check.passed] == ["views_are_rendered_as_asked"]
 
 
 def test_a_nan_in_the_rendering_is_refused_by_name(tmp_path: Path) -> None:
