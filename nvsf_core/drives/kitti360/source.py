@@ -125,9 +125,12 @@ class Kitti360Drive(AbstractDrive):
         self, poses: dict[int, np.ndarray], calibration: Calibration
     ) -> PoseDisagreement | None:
         layout = self._layout
+        # First: without that file nothing is compared, and a drive without camera 0 need not describe it.
+        if not lexists(layout.cam0_to_world_path):
+            return None
         camera0 = calibration.cameras.get("image_00")
         camera0_to_pose = read_rectified_camera0_to_pose(layout) if camera0 is None else camera0.to_pose
-        if camera0_to_pose is None or not lexists(layout.cam0_to_world_path):
+        if camera0_to_pose is None:
             return None
         ours = {frame: poses[frame] @ camera0_to_pose for frame in self.frames if frame in poses}
         return compare_poses(ours, read_cam0_to_world(layout.cam0_to_world_path))

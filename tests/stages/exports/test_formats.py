@@ -10,10 +10,12 @@ import pytest
 import yaml
 
 from nvsf_core.clouds.laz import write_laz
+from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.boxes import read_boxes
 from nvsf_core.drives.kitti360.calibration import read_calibration
 from nvsf_core.drives.kitti360.frames import frame_times, read_poses
 from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.drives.kitti360.source import Kitti360Drive
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.stages.exports.kitti import kitti_cameras, write_kitti
@@ -244,3 +246,18 @@ def test_kitti360_has_the_images_of_cameras_of_other_names(tmp_path: Path) -> No
     write_kitti360(tmp_path, named)
     layout = DriveLayout(tmp_path / "kitti360", data.sequence)
     assert all(layout.image_path("image_00", number).is_file() for number in data.numbers)
+
+
+def test_kitti360_without_camera_0_is_read_as_a_drive(tmp_path: Path) -> None:
+    data = small.data_set()
+    right = replace(data, cameras={"image_01": data.cameras["image_00"]})
+    write_kitti360(tmp_path, right)
+    scene = SceneEntry(
+        name="right", root=tmp_path / "kitti360", sequence=data.sequence, first_frame=4, last_frame=7,
+        test_frames=(),
+    )  # fmt: skip
+    facts = Kitti360Drive(scene).facts()
+    np.testing.assert_allclose(facts.poses[5] @ facts.calibration.lidar_to_pose, data.lidar_to_world[1])
+    camera = facts.calibration.cameras["image_01"]
+    in_lidar = invert_pose(facts.calibration.lidar_to_pose) @ camera.to_pose
+    np.testing.assert_allclose(in_lidar, small.IN_LIDAR, atol=1e-9)
