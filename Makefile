@@ -26,8 +26,6 @@ DEV     := .venv/.installed-dev
 PIP     := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
 # All that a start and the stages import: it is compiled with the kernels.
 IMPORTS := import pipelines.definitions, nvsf_core.stages.benchmark_report; from nvsf_core.stages.flow import WORK_MODULES; [__import__(name) for name in WORK_MODULES]
-# Dagster advises `dg launch` at every start; the bare command is what users know.
-TRAIN   := PYTHONWARNINGS='ignore:Function `job_execute_command`' $(BIN)/dagster job execute -j train_all_scenes
 
 .DEFAULT_GOAL := help
 .PHONY: help install demo train test test-fast check style types contracts docs bench ablation stability chaos gpu contract ui clean
@@ -56,11 +54,12 @@ $(DEV): $(STAMP)
 $(DAGSTER_HOME)/dagster.yaml: | $(STAMP)
 	@$(BIN)/python -m pipelines.instance
 
-demo: install $(DAGSTER_HOME)/dagster.yaml ## write a short analytic drive and train it: two minutes, 0.2 GB
-	@SCENES=demo RECIPE=short NVSF_EXECUTOR=$${NVSF_EXECUTOR:-in_process} $(TRAIN)
+# By `nvsf`, which runs `dagster job execute -j train_all_scenes` and ends it in plain words at Ctrl-C.
+demo: install ## write a short analytic drive and train it: two minutes, 0.2 GB
+	@$(BIN)/nvsf demo
 
-train: install $(DAGSTER_HOME)/dagster.yaml ## SCENES="a b" RECIPE=lean SEED=0: train catalogue scenes
-	$(TRAIN)
+train: install ## SCENES="a b" RECIPE=lean SEED=0: train catalogue scenes
+	$(BIN)/nvsf train
 
 # In the order of the files: by number of tests, the longest, of one test each, came last, and a core had nothing to do.
 test: install $(DEV) ## the whole suite

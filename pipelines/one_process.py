@@ -12,8 +12,7 @@ import dagster as dg
 from dagster._core.execution.retries import RetryMode
 from dagster._core.executor.in_process import InProcessExecutor
 
-INTERRUPTED = "interrupted. Run it again to go on: what was finished is skipped, and training resumes"
-"""What a run says at its end that Ctrl-C has stopped."""
+from pipelines.job_process import INTERRUPTED
 
 
 class OneProcess(InProcessExecutor):

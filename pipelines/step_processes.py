@@ -19,7 +19,7 @@ from dagster._core.executor.multiprocess import MultiprocessExecutor
 
 from nvsf_core.errors import StageKilledError
 from nvsf_core.stages.flow import WORK_MODULES
-from pipelines.one_process import INTERRUPTED
+from pipelines.job_process import INTERRUPTED
 
 _PRELOADED = "pipelines.definitions"
 _MOST_STARTS = 4

@@ -34,6 +34,13 @@ class _TerseFormatter(logging.Formatter):
         return f"{clock} {message}" if record.levelno < logging.ERROR else f"{clock} ERROR {message}"
 
 
+def _is_news(record: logging.LogRecord) -> bool:
+    """False of Dagster's words for a run that was interrupted: the executor has said it, and how to go on."""
+    event = (getattr(record, "dagster_meta", None) or {}).get("dagster_event")
+    error = getattr(getattr(event, "event_specific_data", None), "error", None)
+    return not (error and event.is_run_failure and error.cls_name == "DagsterExecutionInterruptedError")
+
+
 _KEPT = re.compile(r"done in|up to date|written|no data|left out|dataset/|FAILED|shows ")
 """Lines that stay: what was finished or decided. Others tell how far a stage is."""
 _SHARE = re.compile(r"(\d+)(?:/| of )(\d+)")
@@ -91,6 +98,7 @@ def terse_logger(context: dg.InitLoggerContext) -> logging.Logger:
     level = str(context.logger_config["log_level"]).upper()
     handler = ProgressHandler(sys.stderr) if level == "INFO" else logging.StreamHandler(sys.stderr)
     handler.setFormatter(_TerseFormatter())
+    handler.addFilter(_is_news)
     logger = logging.Logger("nvsf", level=level)
     logger.addHandler(handler)
     if os.environ.get(FILE_VARIABLE):

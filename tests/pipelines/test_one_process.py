@@ -5,7 +5,8 @@ import signal
 
 import dagster as dg
 
-from pipelines.one_process import INTERRUPTED, one_process
+from pipelines.job_process import INTERRUPTED
+from pipelines.one_process import one_process
 
 
 @dg.op(retry_policy=dg.RetryPolicy(max_retries=2), tags={"dagster/priority": "1"})
