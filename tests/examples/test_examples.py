@@ -1,5 +1,6 @@
 """The examples run, one after the other, on the tiny drive; one writes a drive of its own, which is read."""
 
+import runpy
 import sys
 from pathlib import Path
 
@@ -12,14 +13,16 @@ from nvsf_core.stages.inputs import read_sweeps
 REPO = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture(scope="module")
-def run(tiny_catalogue, tmp_path_factory, run_process):
-    places = {"NVSF_SCENES": str(tiny_catalogue), "NVSF_HOME": str(tmp_path_factory.mktemp("examples"))}
+@pytest.fixture
+def run(tiny_catalogue, tmp_path, monkeypatch, capsys):
+    """Run an example as its command does, in this process: one of its own would load everything anew."""
+    monkeypatch.setenv("NVSF_SCENES", str(tiny_catalogue))
+    monkeypatch.setenv("NVSF_HOME", str(tmp_path / "examples"))
 
     def example(name: str, *words: str) -> str:
-        done = run_process(sys.executable, f"examples/{name}.py", *words, PYTHONPATH=str(REPO), **places)
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
+        monkeypatch.setattr(sys, "argv", [f"{name}.py", *words])
+        runpy.run_path(str(REPO / f"examples/{name}.py"), run_name="__main__")
+        return capsys.readouterr().out
 
     return example
 

@@ -9,6 +9,7 @@ import dagster as dg
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.stages.runner.stage import Stage, StageOutput
 from nvsf_core.stores.tables import write_rows
+from pipelines.step_processes import step_processes
 from pipelines.train_all import make_train_all_scenes
 
 
@@ -35,9 +36,7 @@ FLOW = (
 
 def crashing_job():
     """The job, in processes of their own as the user's is."""
-    start = {"forkserver": {"preload_modules": ["pipelines.train_all"]}}
-    processes = dg.multiprocess_executor.configured({"max_concurrent": 3, "start_method": start})
-    return make_train_all_scenes(FLOW, executor=processes)
+    return make_train_all_scenes(FLOW, executor=step_processes(3))
 
 
 if __name__ == "__main__":
