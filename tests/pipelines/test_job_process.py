@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import dagster as dg
@@ -15,9 +16,10 @@ from pipelines.job_process import INTERRUPTED
 from tests.conftest import clean_environment
 
 
-def _heeds_ctrl_c() -> None:
-    """As in a terminal: what a shell starts in the background ignores it, and so do its children."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+def _as_in_a_terminal() -> None:
+    """Heed what `nohup` or a shell's background ignores, and so do its children."""
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTSTP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 @pytest.mark.cli
@@ -38,7 +40,7 @@ def test_a_run_that_is_told_to_end_says_one_line_and_is_failed_in_dagsters_histo
     with subprocess.Popen(
         [Path(sys.executable).with_name("nvsf"), "train", "tiny"], env=environment, text=True,
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True,
-        preexec_fn=_heeds_ctrl_c,
+        preexec_fn=_as_in_a_terminal,
     ) as process:  # fmt: skip
         assert process.stderr is not None
         # Nothing of the drive is made yet: what says `done` from here on was done in spite of the signal.
@@ -56,3 +58,37 @@ def test_a_run_that_is_told_to_end_says_one_line_and_is_failed_in_dagsters_histo
     monkeypatch.setenv("DAGSTER_HOME", str(tmp_path / "dagster"))
     with dg.DagsterInstance.get() as instance:
         assert [run.status for run in instance.get_runs()] == [dg.DagsterRunStatus.FAILURE]
+
+
+_WAITING = """
+import os, sys
+from pipelines.job_process import _status_of
+one = "import os, time; print(os.getpid(), flush=True); time.sleep(200)"
+sys.exit(_status_of([sys.executable, "-c", one], os.environ))
+"""
+
+
+def _wait_for(state: str, *processes: int) -> None:
+    """Until all are in this state of /proc's: S sleeping, T stopped."""
+    until_s = time.monotonic() + 60.0
+    stats = [Path(f"/proc/{one}/stat") for one in processes]
+    while any(stat.read_text().rpartition(")")[2].split()[0] != state for stat in stats):
+        assert time.monotonic() < until_s, [stat.read_text() for stat in stats]
+        time.sleep(0.02)
+
+
+def test_ctrl_z_stops_what_runs_too_and_it_ends_where_the_terminal_is_closed(repo: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", _WAITING], cwd=repo, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        start_new_session=True, preexec_fn=_as_in_a_terminal,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None and process.stderr is not None
+        both = (process.pid, int(process.stdout.readline()))
+        os.killpg(process.pid, signal.SIGTSTP)
+        _wait_for("T", *both)
+        os.killpg(process.pid, signal.SIGCONT)
+        _wait_for("S", *both)
+        os.killpg(process.pid, signal.SIGHUP)
+        said = process.stderr.read()
+    assert process.returncode == 128 + signal.SIGHUP and said == f"{INTERRUPTED}\n"
+    assert not Path(f"/proc/{both[1]}").exists()
