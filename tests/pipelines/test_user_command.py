@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import dagster as dg
 import pytest
 
 from nvsf_core.stages import STAGES, find_scene, plan_run, run_named_stage, run_scene
@@ -37,6 +38,7 @@ def first_run(run_process, tiny_catalogue, home):
 
 @pytest.fixture
 def trained(first_run, tiny_catalogue, home, monkeypatch):
+    """The home of the first run; what changes a data set of it works on a copy."""
     assert first_run.returncode == 0, first_run.stdout + first_run.stderr
     monkeypatch.setenv("NVSF_SCENES", str(tiny_catalogue))
     monkeypatch.setenv("NVSF_HOME", str(home))
@@ -112,13 +114,40 @@ def test_what_rendered_views_take_on_the_disk_is_estimated_from_the_drive(traine
     assert more == novel_views_bytes(replace(task, scene=replace(longer, test_frames=()))) // 2
 
 
-def test_a_second_run_skips_every_stage(run_process, trained, tiny_catalogue):
-    done = run_process(
-        *COMMAND, DAGSTER_MODULE_NAME="pipelines.definitions", NVSF_SCENES=str(tiny_catalogue),
-        NVSF_HOME=str(trained), NVSF_EXECUTOR="in_process",
+@pytest.fixture(scope="module")
+def instance_folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("instance")
+    shutil.copy("pipelines/dagster.yaml", folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def second_run(run_process, first_run, tiny_catalogue, home, instance_folder):
+    return run_process(
+        "dg", "launch", "--job", "train_all_scenes", NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(home),
+        NVSF_EXECUTOR="in_process", DAGSTER_HOME=str(instance_folder),
     )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stderr.count("up to date, skipped") == 10
+
+
+def test_a_second_run_by_dg_launch_bare_skips_every_stage(second_run):
+    assert second_run.returncode == 0, second_run.stdout + second_run.stderr
+    assert second_run.stderr.count("up to date, skipped") == 10
+
+
+def test_a_run_of_the_terminal_is_of_the_code_location_and_registers_its_scenes(
+    second_run, home, instance_folder
+):
+    with dg.DagsterInstance.from_config(str(instance_folder)) as instance:
+        (run,) = instance.get_runs(dg.RunsFilter(tags={".dagster/repository": "__repository__@nvsf"}))
+        assert run.remote_job_origin.location_name == "nvsf" and run.tags["nvsf/started_by"] == "terminal"
+        assert run.status is dg.DagsterRunStatus.SUCCESS, second_run.stderr
+        assert instance.get_dynamic_partitions("scenes") == ["tiny"]
+        made = instance.get_latest_materialization_event(dg.AssetKey(["nvsf", "dataset"]))
+        metadata = made.asset_materialization.metadata
+    first, test, shifted = (metadata[name].value for name in ("path", "path_test", "path_shift_1m"))
+    data_sets = home / "tiny/dataset"
+    assert first == test and Path(test).parent == data_sets / "test"
+    assert Path(shifted).parent == data_sets / "shift_1m" and (Path(shifted) / "manifest.json").is_file()
 
 
 def test_a_trained_home_and_its_drive_are_up_to_date_elsewhere(trained, tiny_catalogue, tmp_path):
@@ -151,17 +180,25 @@ print(json.dumps([request.partition_key, request.run_key, request.run_config["re
 """
 
 
-def test_a_weekly_tick_makes_a_new_version_beside_the_old_one(run_process, trained, tiny_catalogue):
-    before = _versions(trained)
-    done = run_process(
-        sys.executable, "-c", WEEKLY_TICK, NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(trained)
+@pytest.fixture(scope="module")
+def weekly(run_process, first_run, tiny_catalogue, home, tmp_path_factory):
+    """A copy of the home after a weekly tick, and what the tick has said."""
+    copy = tmp_path_factory.mktemp("weekly") / "home"
+    shutil.copytree(home, copy)
+    return copy, run_process(
+        sys.executable, "-c", WEEKLY_TICK, NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(copy)
     )
+
+
+def test_a_weekly_tick_makes_a_new_version_beside_the_old_one(weekly, trained):
+    home, done = weekly
+    before = _versions(trained)
     assert done.returncode == 0, done.stdout + done.stderr
     partition, key, resources, success = json.loads(done.stdout.splitlines()[-1])
     assert (partition, key, success) == ("tiny", "tiny-2026-W47", True)
     choice = {"recipe": "smoke", "seed": 0, "draw_seed": 202647, "dataset_label": "2026-W47"}
     assert resources == {"workspace": {"config": choice}}
-    new = _versions(trained) - before
+    new = _versions(home) - before
     assert before < before | new and {place.partition("-W47-")[0] for place in new} == {
         "shift_1m/2026", "test/2026",
     }  # fmt: skip
@@ -191,57 +228,26 @@ def _other_seed(manifest):
     manifest.write_text(manifest.read_text().replace('"seed": 0', '"seed": 1', 1))
 
 
-def test_a_damaged_file_of_any_version_is_found_and_made_anew(run_process, trained, tiny_catalogue):
-    before = _data_sets(trained)
+def test_a_damaged_file_of_any_version_is_found_and_made_anew(
+    run_process, weekly, tiny_catalogue, monkeypatch
+):
+    home, _ = weekly
+    monkeypatch.setenv("NVSF_SCENES", str(tiny_catalogue))
+    before = _data_sets(home)
     scan, manifest = (next(path for path in before if path.name.endswith(end) and "W47" in str(path))
                       for end in (".bin", "manifest.json"))  # fmt: skip
     for path, done_to in ((manifest, _other_seed), (scan, os.unlink), (scan, harm.flip)):
         done_to(path)
-        (damaged,) = [one for one in versions_of(SceneStore(trained, "tiny")) if damage_of_version(one)]
+        (damaged,) = [one for one in versions_of(SceneStore(home, "tiny")) if damage_of_version(one)]
         assert damage_of_version(damaged) == str(path)
         if done_to is not harm.flip:
-            assert make_anew(find_scene("tiny"), trained, damaged, str)
+            assert make_anew(find_scene("tiny"), home, damaged, str)
     done = run_process(
-        "nvsf", "verify", "tiny", "--mend", NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(trained)
+        "nvsf", "verify", "tiny", "--mend", NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(home)
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("made anew") == 1 and done.stdout.count("whole") == 3, done.stdout
-    assert _data_sets(trained) == before, "byte for byte"
-
-
-def test_dg_launch_works_bare(run_process, trained, tiny_catalogue):
-    done = run_process(
-        "dg", "launch", "--job", "train_all_scenes", NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(trained),
-        NVSF_EXECUTOR="in_process", DAGSTER_HOME=str(_dagster_home(trained)),
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
-def _dagster_home(home):
-    folder = home.parent / "dagster_home"
-    folder.mkdir(exist_ok=True)
-    shutil.copy("pipelines/dagster.yaml", folder)
-    return folder
-
-
-LAUNCHED = """
-import dagster as dg
-instance = dg.DagsterInstance.get()
-(run,) = instance.get_runs(dg.RunsFilter(tags={".dagster/repository": "__repository__@nvsf"}))
-print(run.remote_job_origin.location_name, run.tags["nvsf/started_by"], run.status.value)
-print(instance.get_dynamic_partitions("scenes"))
-made = instance.get_latest_materialization_event(dg.AssetKey(["nvsf", "dataset"])).asset_materialization
-print(*(made.metadata[name].value for name in ("path", "path_test", "path_shift_1m")), sep="\\n")
-"""
-
-
-def test_a_run_of_the_terminal_is_of_the_code_location_and_registers_its_scenes(run_process, trained):
-    done = run_process(sys.executable, "-c", LAUNCHED, DAGSTER_HOME=str(_dagster_home(trained)))
-    *said, first, test, shifted = done.stdout.splitlines()[-5:]
-    assert said == ["nvsf terminal SUCCESS", "['tiny']"], f"launched by dg, in the test above: {done.stderr}"
-    data_sets = trained / "tiny/dataset"
-    assert first == test and Path(test).parent == data_sets / "test"
-    assert Path(shifted).parent == data_sets / "shift_1m" and (Path(shifted) / "manifest.json").is_file()
+    assert _data_sets(home) == before, "byte for byte"
 
 
 def test_logs_as_json_lines_say_scene_stage_and_run(first_run, home):
