@@ -21,16 +21,17 @@ _MOST_SCANS = 8
 _SCANS_AROUND = 2
 
 
-def surface_normals(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normals (n, 3) at the points (N, 3) with neighbours enough, and whether it is flat there (n,)."""
+def surface_normals(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Those (n, 3) of points (N, 3) that have neighbours enough, unit normals there (n, 3), is it flat (n,)."""
     count = min(_NEIGHBOURS, len(points_m))
     if count < 3:
-        return np.zeros((0, 3)), np.zeros(0, np.bool_)
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.bool_)
     distance_m, index = cKDTree(points_m).query(points_m, k=count)
-    around_m = points_m[index[distance_m[:, -1] < _FARTHEST_M]]
+    has_enough = distance_m[:, -1] < _FARTHEST_M
+    around_m = points_m[index[has_enough]]
     arms_m = around_m - around_m.mean(axis=1, keepdims=True)
     spread_m2, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", arms_m, arms_m))
-    return axes[:, :, 0], spread_m2[:, 0] < _FLAT * spread_m2[:, 1]
+    return points_m[has_enough], axes[:, :, 0], spread_m2[:, 0] < _FLAT * spread_m2[:, 1]
 
 
 def ground_normals(
@@ -51,7 +52,8 @@ def ground_normals(
     for k in chosen.tolist():
         around_m = np.concatenate(clouds_m[max(0, k - _SCANS_AROUND) : k + _SCANS_AROUND + 1])
         near = np.linalg.norm(around_m - lidar_to_scene[k, :3, 3], axis=1) < _NEAR_M
-        normal = _most_common(*surface_normals(around_m[near]))
+        _, *facing = surface_normals(around_m[near])
+        normal = _most_common(*facing)
         if normal is not None:
             found[k] = normal
     return np.array(list(found.values())).reshape(-1, 3), np.array(list(found), np.int64)

@@ -229,7 +229,7 @@ def scan_misfits(
 
     Returns:
         Two (n,) float64 in metres, at most 1; NaN where the scan or all its neighbours have no points. Third,
-        (n,), the share of the way to that other pose that goes across the surfaces around; 1 where the own
+        (n,), the share of the motion to that other pose that goes across the surfaces around; 1 where the own
         pose fits about as well.
     """
     n = len(points_m)
@@ -246,17 +246,21 @@ def scan_misfits(
         best_other_m[k] = min(others_m)
         if own_m[k] > MOST_MISFIT * best_other_m[k]:
             best = near[int(np.argmin(others_m))]
-            across[k] = _across(around, lidar_to_scene[best, :3, 3] - lidar_to_scene[k, :3, 3])
+            across[k] = _across(around, lidar_to_scene[best] @ from_pose)
     return own_m, best_other_m, across
 
 
-def _across(points_m: np.ndarray, way_m: np.ndarray) -> float:
-    """Mean squared share of a way (3,) across the surfaces that points (N, 3) lie on; 1 where unknown."""
-    normals, _ = surface_normals(points_m)
-    length_m = float(np.linalg.norm(way_m))
-    if length_m < _LEAST_M or len(normals) == 0:
+def _across(points_m: np.ndarray, motion: np.ndarray) -> float:
+    """Mean squared share of a motion (4, 4) across the surfaces that points (N, 3) lie on; 1 where unknown.
+
+    Of each point's own way: along a tunnel that bends the sensor turns, and slides along the walls.
+    """
+    placed_m, normals, _ = surface_normals(points_m)
+    ways_m = placed_m @ (motion[:3, :3] - np.eye(3)).T + motion[:3, 3]
+    squared_m2 = float(np.square(ways_m).sum())
+    if squared_m2 < len(ways_m) * _LEAST_M**2 or len(normals) == 0:
         return 1.0
-    return float(np.mean((normals @ (way_m / length_m)) ** 2))
+    return float(np.square((normals * ways_m).sum(axis=1)).sum()) / squared_m2
 
 
 def _distance_m(tree: cKDTree, points_m: np.ndarray, motion: np.ndarray) -> float:
