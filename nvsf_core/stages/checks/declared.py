@@ -142,7 +142,8 @@ VIEW_CHECKS = (
 DEFINED = NamedCheck(
     name="all_metrics_of_whole_frames_are_finite",
     description="Every metric of a whole held-out frame has a finite value. (Around moving objects, and "
-    "where nothing was recorded, none is a finding and no fault.) Value: how many have not.",
+    "where nothing was recorded, none is a finding and no fault; so is an infinite one of a baseline, which "
+    "leaves rays without an answer.) Value: how many have not.",
 )
 IN_RANGE = NamedCheck(
     name="metrics_lie_in_their_ranges",

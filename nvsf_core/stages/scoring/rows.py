@@ -10,7 +10,7 @@ import numpy as np
 
 from nvsf_core._types import Scalar
 from nvsf_core.metrics.measure import Measure
-from nvsf_core.metrics.table import HELD_OUT, UNITS, mean_rows, summary_table
+from nvsf_core.metrics.table import BASELINES, HELD_OUT, UNITS, mean_rows, summary_table
 from nvsf_core.stages.checks.declared import DEFINED
 from nvsf_core.stages.runner.stage import Check, StageOutput
 
@@ -97,13 +97,14 @@ class Ledger:
     def output(self) -> StageOutput:
         """Metadata (counts, reasons, headline means) and checks of all rows."""
         values = np.array([row["value"] for row in self.rows], dtype=np.float64)
-        is_whole = np.array([(row["split"], row["region"]) == (HELD_OUT, "all") for row in self.rows], bool)
+        infinite = self._infinite_of_model()
         n_infinite, n_absent = int(np.isinf(values).sum()), self.absent.total()
         n_undefined = int(np.isnan(values).sum()) - n_absent
         detail = (
             f"{values.size} values, {n_undefined} undefined, {n_infinite} infinite, {n_absent} not measured"
         )
         reasons = _listing(self.undefined)
+        explained = "; ".join(part for part in (detail, reasons, _listing(infinite)) if part)
         metadata: dict[str, Scalar] = {
             "rows": len(self.rows), "undefined": n_undefined, "infinite": n_infinite,
             "not_measured": n_absent, "undefined_reasons": reasons or "none",
@@ -113,13 +114,22 @@ class Ledger:
         checks = [
             Check(name="some_frame_was_measured", passed=bool(self.rows), detail=detail),
             # Only whole held-out frames count: elsewhere an undefined value is a finding, no fault.
-            DEFINED.outcome(
-                float(self.n_undefined_whole + np.isinf(values[is_whole]).sum()),
-                0.0,
-                f"{detail}; {reasons}" if reasons else detail,
-            ),
+            DEFINED.outcome(float(self.n_undefined_whole + infinite.total()), 0.0, explained),
         ]
         return StageOutput(metadata=metadata, checks=checks)
+
+    def _infinite_of_model(self) -> Counter[str]:
+        """Infinite values of whole held-out frames, by name, with counts.
+
+        Of a baseline they are a finding: a copy that leaves a tenth of the rays without an answer.
+        """
+        return Counter(
+            f"{row['protocol']} {row['metric']}: infinite"
+            for row in self.rows
+            if (row["split"], row["region"]) == (HELD_OUT, "all")
+            and row["recipe"] not in BASELINES
+            and math.isinf(row["value"])
+        )
 
     def _headlines(self) -> dict[str, Scalar]:
         shown: dict[str, Scalar] = {}
