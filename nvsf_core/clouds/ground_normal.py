@@ -22,7 +22,7 @@ _SCANS_AROUND = 2
 
 
 def surface_normals(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Those (n, 3) of points (N, 3) that have neighbours enough, unit normals there (n, 3), is it flat (n,)."""
+    """Points (n, 3) of (N, 3) that have neighbours enough, their unit normals (n, 3), and is it flat (n,)."""
     count = min(_NEIGHBOURS, len(points_m))
     if count < 3:
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.bool_)

@@ -37,7 +37,9 @@ CANDIDATES_M = (0.2, 0.3)
 """Tried in this order. With the first a sweep of 64 lasers takes about 0.2 s on 2 cores; 0.15 m would lower
 the error by 1 to 2 % for 1.4 times the time."""
 _VALIDATION_SCANS = 2
-_FEWEST_SCANS = 6
+_FEWEST_FOR_ALL = 6
+"""With fewer training scans one is left out, not two: the field must not learn from half of them."""
+_FEWEST_SCANS = 3
 """With fewer training scans none can be spared for validation."""
 _RAYS_A_SCAN = 20_000
 _WORST_M = 1.0
@@ -103,7 +105,7 @@ class VoxelChoice:
     """For each size, the mean absolute range error along the validation scans' rays, metres; a ray counts at
     most 1 m, and 1 m if nothing is met."""
     validation: np.ndarray
-    """(2,) int64 numbers of the validation scans."""
+    """(1 or 2,) int64 numbers of the validation scans."""
     static: Surfels
     """For a field."""
     rendered: dict[float, Surfels]
@@ -239,7 +241,7 @@ def _prove_motion(
 
 
 def choose_voxel_m(rays: ScanRays, *, unidentified: np.ndarray, far_m: float) -> VoxelChoice | None:
-    """Score voxel sizes on two training scans that the surfels are built without.
+    """Score voxel sizes on one or two training scans that the surfels are built without.
 
     Sizes are tried from the finest on; the first that is worse than one before it ends the search.
 
@@ -249,17 +251,18 @@ def choose_voxel_m(rays: ScanRays, *, unidentified: np.ndarray, far_m: float) ->
         far_m: How far a ray is followed.
 
     Returns:
-        The sizes that were tried; None if there are fewer than six scans or no static return to compare.
+        The sizes that were tried; None if there are fewer than three scans or no static return to compare.
     """
     scans = np.setdiff1d(np.flatnonzero(np.bincount(rays.scan)), unidentified)
     if len(scans) < _FEWEST_SCANS:
         return None
-    validation = scans[(np.arange(1, _VALIDATION_SCANS + 1) * len(scans)) // (_VALIDATION_SCANS + 1)]
+    count = _VALIDATION_SCANS if len(scans) >= _FEWEST_FOR_ALL else 1
+    validation = scans[(np.arange(1, count + 1) * len(scans)) // (count + 1)]
     is_validation = np.isin(rays.scan, validation)
     asked = np.flatnonzero(is_validation & rays.is_static)
     if len(asked) == 0:
         return None
-    most = _VALIDATION_SCANS * _RAYS_A_SCAN
+    most = count * _RAYS_A_SCAN
     asked = asked[np.unique(np.linspace(0, len(asked) - 1, most).astype(np.int64))]
     errors_m: dict[float, float] = {}
     others, rendered = rays.of(~is_validation), dict[float, Surfels]()

@@ -34,6 +34,8 @@ from nvsf_core.training.loop import fresh_state, side_by_side
 
 HITS_BLEND = "hits_blend"
 """Name of the fact: the fields of `HitBlend`; None where the ray head alone gives the hit probability."""
+_FEWEST_VALIDATED = 2
+"""A blend is scored on validation scans that it was not fitted on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +89,7 @@ def train_hits(
     """
     spec, left_out = recipe.hits, lidar.evidence.left_out
     assert spec is not None
-    if left_out is None:
+    if left_out is None or len(left_out.validation) < _FEWEST_VALIDATED:
         few: dict[str, Scalar] = {"hits_shown": "ray head: too few scans to compare a network on"}
         return TrainedHits(
             states={}, preparation_seconds=0.0, metadata=few, facts={HITS_BLEND: None}, correct=None
