@@ -53,8 +53,15 @@ def test_what_is_seen_sparsely_gets_coarse_ones_whose_gaps_are_closed() -> None:
 def test_the_choice_is_the_same_every_time_and_is_not_made_of_too_few_scans() -> None:
     rays = wall_seen_from_one_place(8, 400, 0.1)
     assert chosen(rays).errors_m == chosen(rays).errors_m
-    few = wall_seen_from_one_place(5, 400, 0.1)
+    few = wall_seen_from_one_place(2, 400, 0.1)
     assert choose_voxel_m(few, unidentified=NOBODY, far_m=FAR_M) is None
+
+
+@pytest.mark.parametrize("scans", [3, 5])
+def test_of_a_few_scans_the_middle_one_judges(scans: int) -> None:
+    choice = chosen(wall_seen_from_one_place(scans, 400, 0.1))
+    assert choice.validation.tolist() == [scans // 2]
+    assert int(choice.static.hits.sum()) == (scans - 1) * 400
 
 
 def test_moving_objects_do_not_vote_on_the_size() -> None:
@@ -88,4 +95,4 @@ def test_silent_scans_prove_but_never_judge() -> None:
     assert choice is not None and len(np.unique(choice.validation)) == 2
     assert not np.isin(unidentified, choice.validation).any()
     assert int(choice.static.hits.sum()) == 6 * 400
-    assert choose_voxel_m(rays, unidentified=np.arange(3), far_m=FAR_M) is None
+    assert choose_voxel_m(rays, unidentified=np.arange(6), far_m=FAR_M) is None

@@ -27,7 +27,7 @@ from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss, sur
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.models.family import TrainedPart, TrainingSession, fit, training_device
 from nvsf_core.models.holdout import SCAN_METRICS, compare, left_out_renderer, score_left_out
-from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.recipe import ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.lidar import LidarRender, render_lidar
 from nvsf_core.rendering.reproject import NEAR_M
@@ -42,6 +42,8 @@ SHOWS_FIELD = "lidar_shows_field"
 _EPOCHS, _RAYS_AN_EPOCH = 2.5, 660_000
 """How often a ray is learned from at most: 2.5 times, or once for each so many rays if that is more. A field
 that sees few rays again and again learns them by heart, most of all which of them dropped (docs/lean.md)."""
+_ENOUGH_STEPS, _FEWEST_A_STEP = 850, 1024
+"""Where rays make fewer steps, a step takes fewer, down to so many: surfaces want steps (decision 0054)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,10 +271,13 @@ def _depth(rendered: LidarRender, batch: LidarBatch) -> Tensor:
     return torch.where(batch.meets_object, surface_likelihood(*of_returns), off_m)
 
 
-def enough_steps(recipe: ResidualRecipe, rays: int) -> int:
-    """Steps to train on so many rays: the recipe's, or fewer where these are few."""
-    spec, epochs = recipe.lidar_training, max(_EPOCHS, rays / _RAYS_AN_EPOCH)
-    return min(spec.steps, math.ceil(epochs * rays / spec.rays))
+def training_for(recipe: ResidualRecipe, rays: int) -> TrainingSpec:
+    """The training on so many rays: the recipe's; of few rays, with fewer steps and fewer rays a step."""
+    spec = recipe.lidar_training
+    drawn = max(_EPOCHS, rays / _RAYS_AN_EPOCH) * rays
+    wanted = max(drawn / min(_ENOUGH_STEPS, spec.steps), _FEWEST_A_STEP)
+    a_step = min(spec.rays, math.ceil(wanted / spec.parts) * spec.parts)
+    return replace(spec, rays=a_step, steps=min(spec.steps, math.ceil(drawn / a_step)))
 
 
 def train_lidar(
@@ -288,11 +293,11 @@ def train_lidar(
     """
     started = time.perf_counter()
     rays = training_rays(lidar, recipe, field)
-    spec = replace(recipe.lidar_training, steps=enough_steps(recipe, len(rays)))
+    spec = training_for(recipe, len(rays))
     state = fresh_state(field.to(training_device()), spec, session.seed * 2)
     preparation = time.perf_counter() - started
     order = Epochs(len(rays), session.seed)
-    with _steps(field, rays, order, recipe, lidar) as step:
+    with _steps(field, rays, order, replace(recipe, lidar_training=spec), lidar) as step:
         fit(session, "lidar", state, spec, step)
     field.to("cpu")
     validating = time.perf_counter()

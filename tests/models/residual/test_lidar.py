@@ -1,6 +1,5 @@
 """A LiDAR field that learned nothing good is not shown: left-out scans say so, through the real stages."""
 
-import math
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +10,7 @@ import pytest
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.models.residual.family import make_fields
-from nvsf_core.models.residual.lidar import SHOWS_FIELD, choose, enough_steps
+from nvsf_core.models.residual.lidar import SHOWS_FIELD, choose, training_for
 from nvsf_core.recipe import FieldSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.rendering.rendered import RenderedRays
@@ -74,12 +73,25 @@ def broken(tmp_path_factory: pytest.TempPathFactory) -> Judged:
 def test_few_rays_are_not_learned_by_heart() -> None:
     quick, lean = preset("quick"), preset("lean")
     assert isinstance(quick, ResidualRecipe) and isinstance(lean, ResidualRecipe)
-    streets = (3_302_384, 3_610_591)
     for recipe in (quick, lean):
-        assert {enough_steps(recipe, rays) for rays in streets} == {recipe.lidar_training.steps}
-        assert enough_steps(recipe, 380_160) == 233 == math.ceil(2.5 * 380_160 / 4096)
-        assert enough_steps(recipe, 1) == 1
-    assert enough_steps(quick, 1_800_000) == 850 < enough_steps(lean, 1_800_000) < 2.8 * 1_800_000 / 4096
+        assert {training_for(recipe, rays) for rays in (3_302_384, 3_610_591)} == {recipe.lidar_training}
+        assert training_for(recipe, 1).steps == 1
+    half = training_for(lean, 1_800_000)
+    assert half.rays == 4096 and 850 < half.steps < 2.8 * 1_800_000 / 4096
+    assert training_for(quick, 1_800_000) == quick.lidar_training
+
+
+@pytest.mark.parametrize(("rays", "steps", "a_step"), [(98_304, 240, 1024), (500_000, 850, 1472)])
+def test_few_rays_make_smaller_steps_rather_than_fewer(rays: int, steps: int, a_step: int) -> None:
+    for name in ("quick", "lean"):
+        recipe = preset(name)
+        assert isinstance(recipe, ResidualRecipe)
+        found = training_for(recipe, rays)
+        assert (found.steps, found.rays) == (steps, a_step)
+        assert found.rays % found.parts == 0
+        assert found.steps * found.rays == pytest.approx(2.5 * rays, rel=0.01)
+    smoke = preset("smoke")
+    assert isinstance(smoke, ResidualRecipe) and training_for(smoke, 98_304) == smoke.lidar_training
 
 
 def test_a_field_that_does_not_beat_reproject_is_replaced_by_it_and_that_is_said(broken: Judged) -> None:

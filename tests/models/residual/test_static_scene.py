@@ -13,7 +13,6 @@ import torch
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.evidence.scene_evidence import SceneEvidence
-from nvsf_core.models.proof import FIELD_VOXEL_M
 from nvsf_core.models.residual.family import make_fields
 from nvsf_core.recipe import ResidualRecipe, preset
 from nvsf_core.recording.drive import Recording
@@ -115,10 +114,9 @@ def test_a_renderer_s_own_surfels_are_read_back_and_without_them_it_has_those_of
     recording, outcome = static
     assert recording.lidar is not None
     evidence = recording.lidar.evidence
-    # Three training scans are too few to choose a size.
-    assert outcome.metadata["rendered_voxel_m"] == FIELD_VOXEL_M
     own = evidence.rendered
     assert own is not None and evidence.for_rendering is own
+    assert own.index.voxel_m == outcome.metadata["rendered_voxel_m"]
     assert len(own.precision) == own.index.voxel_count and len(evidence.static.precision) == 0
     again = SceneEvidence.from_arrays(evidence.to_arrays()).for_rendering.to_arrays()
     assert all(np.array_equal(again[name], value) for name, value in own.to_arrays().items())
