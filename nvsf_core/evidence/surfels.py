@@ -8,17 +8,12 @@ import numpy as np
 
 from nvsf_core.evidence.voxel_planes import VoxelPlanes, joined_planes, own_planes
 from nvsf_core.geometry.voxels import VoxelIndex, index_points, occupied_bits, voxel_moments
-from nvsf_core.kernels.voxel_march import (
-    VoxelSurfaces,
-    WalkLimits,
-    count_passes,
-    find_candidates,
-)
+from nvsf_core.kernels.voxel_march import VoxelSurfaces, WalkLimits, find_candidates
+from nvsf_core.kernels.voxel_passes import MetPlanes, count_passes
 
-_MISSED_PLANE_SHARE, _MISSED_SHAPE_SHARE = 0.1, 0.03
 _STOP_TRANSMITTANCE = 0.005
-_VOXEL_MARGIN, _SHAPE_MARGIN = 1.0, 0.5
-"""Voxels before its return up to which a ray passes through voxels, and through shapes."""
+_PLANE_MARGIN, _SHAPE_MARGIN = 0.25, 0.5
+"""Voxels before its return up to which a ray passes through voxels' planes, and through shapes."""
 _NOISE_M = 0.005
 """Smallest standard deviation of returns from one surface."""
 _DOUBT = 0.3
@@ -99,8 +94,7 @@ class Surfels:
             stop_transmittance: Share of the light below which it ends.
             faintest: Share of the light that a surface must stop; others are left out.
         """
-        missed_share = _MISSED_SHAPE_SHARE if len(self.precision) else _MISSED_PLANE_SHARE
-        return WalkLimits(float(near_m), float(far_m), most, missed_share, stop_transmittance, faintest)
+        return WalkLimits(float(near_m), float(far_m), most, stop_transmittance, faintest)
 
     @property
     def is_planar(self) -> np.ndarray:
@@ -143,10 +137,11 @@ def build_surfels(
 ) -> Surfels:
     """Surfels of the returns of rays.
 
-    Without shapes, a ray passes through every voxel that it crosses up to one voxel before its return. With
-    shapes, it passes through a voxel only if it comes as near to the voxel's returns as one of them would,
-    and leaves it half a voxel before its own return. So a road stays opaque below rays that graze it, and a
-    wall beside a gap. `reproject` needs shapes; a field learns less from them (decision 0013).
+    Without shapes, a ray passes through a voxel whose plane it meets, or that it crosses if there is none, up
+    to a quarter of a voxel before its return. With shapes, it passes through a voxel only if it comes as near
+    to the voxel's returns as one of them would, and leaves it half a voxel before its own return. So a road
+    stays opaque below rays that graze it, and a wall beside a gap. `reproject` needs shapes; a field learns
+    less from them (decision 0013).
 
     Args:
         origin_m: (n, 3) scene-local, metres.
@@ -162,12 +157,9 @@ def build_surfels(
     """
     returns = _returns(origin_m, direction, range_m, intensity, voxel_m=voxel_m, is_surface=is_surface)
     precision = returns.precision() if shaped else _NO_SHAPES
-    (passes,) = count_passes(
-        *returns.rays, returns.stops_m(_SHAPE_MARGIN if shaped else _VOXEL_MARGIN), returns.index,
-        returns.mean_m, precision,
-    )  # fmt: skip
     planes = returns.joined_planes() if joined and not shaped else returns.own_planes()
-    return returns.surfels(planes, precision, passes)
+    passes = returns.passes(precision, planes)
+    return returns.surfels(planes, precision, passes[0] if shaped else passes[1])
 
 
 def build_both(
@@ -190,13 +182,9 @@ def build_both(
         is_surface: (n,) bool: the return is part of a surface. None = all are.
     """
     returns = _returns(origin_m, direction, range_m, intensity, voxel_m=voxel_m, is_surface=is_surface)
-    precision = returns.precision()
-    passes, crossed = count_passes(
-        *returns.rays, returns.stops_m(_SHAPE_MARGIN), returns.index, returns.mean_m, precision,
-        returns.stops_m(_VOXEL_MARGIN),
-    )  # fmt: skip
-    joined, own = returns.joined_planes(), returns.own_planes()
-    return returns.surfels(joined, _NO_SHAPES, crossed), returns.surfels(own, precision, passes)
+    precision, joined, own = returns.precision(), returns.joined_planes(), returns.own_planes()
+    of_shapes, of_planes = returns.passes(precision, joined)
+    return returns.surfels(joined, _NO_SHAPES, of_planes), returns.surfels(own, precision, of_shapes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +201,17 @@ class _Returns:
     hits: np.ndarray
     intensity: np.ndarray
 
-    def stops_m(self, margin: float) -> np.ndarray:
+    def passes(self, precision: np.ndarray, planes: VoxelPlanes) -> np.ndarray:
+        """(2, v) int32: rays that passed through the shapes (v, 6), and through the planes.
+
+        See `build_surfels`. The first row means nothing without shapes, (0, 6).
+        """
+        met = MetPlanes(self._stops_m(_PLANE_MARGIN), planes.mean_m, planes.normal)
+        return count_passes(
+            *self.rays, self._stops_m(_SHAPE_MARGIN), self.index, self.mean_m, precision, met
+        )  # fmt: skip
+
+    def _stops_m(self, margin: float) -> np.ndarray:
         """(n,) float32: up to where each ray passes through voxels, `margin` voxels before its return."""
         found: np.ndarray = np.maximum(self.range_m - margin * self.index.voxel_m, 0).astype(np.float32)
         return found

@@ -10,20 +10,25 @@ Precisions are inverse covariances, 1/m^2: xx, xy, xz, yy, yz, zz; (0, 6) where 
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import get_num_threads, njit, prange
+from numba import njit, prange
 
 BRICK = 8
 _NO_PLANE_COSINE = 0.5
 _NEVER_M = 1e300
-_REACH = 6.25
+REACH = 6.25
 """Square of the largest distance, in standard deviations of a voxel's returns, at which a ray meets them."""
 _FALL = 0.2
 """At `apart` squared standard deviations off, returns that are no plane stop exp(-_FALL * apart) of what they
 stop in their middle. Planes stop as much out to their ends: walls must not leak between voxels."""
-_NO_STOPS = np.zeros(0, np.float32)
+_MISSED_SHARE = 0.03
+"""Share of its opacity that a shape keeps for a ray that misses it inside its voxel."""
+SOFT_M = 0.01
+"""Without shapes a plane that is missed inside its voxel, by d, stops exp(-d / SOFT_M) of what it stops
+else, and a ray that misses it by more has not seen through it (decision 0057): rays that graze a road cross
+many voxels above it."""
 RAYS_A_TASK = 256
 """Rays that one thread renders before it takes more."""
 
@@ -46,14 +51,12 @@ class VoxelSurfaces(NamedTuple):
 
 
 class WalkLimits(NamedTuple):
-    """Where a walk begins and ends, and what a missed surface still stops."""
+    """Where a walk begins and ends."""
 
     near_m: float
     far_m: float
     most: int
     """Surfaces after which the walk ends."""
-    missed_share: float
-    """Share of its opacity that a surface keeps for a ray that misses it inside its voxel."""
     stop_transmittance: float
     """The walk ends where less of the light than this is left."""
     faintest: float
@@ -82,7 +85,7 @@ def clip(origin, direction, low, high, t_near, t_far):  # type: ignore[no-untype
 
 
 @njit(inline="always")
-def _first_voxel(origin, direction, t, grid_origin, voxel_m, voxels):  # type: ignore[no-untyped-def]
+def first_voxel(origin, direction, t, grid_origin, voxel_m, voxels):  # type: ignore[no-untyped-def]
     """Along one axis at distance t: voxel, its step, distance to its border, distance between borders."""
     index = min(max(math.floor((origin + t * direction - grid_origin) / voxel_m), 0), voxels - 1)
     if direction > 0.0:
@@ -94,7 +97,7 @@ def _first_voxel(origin, direction, t, grid_origin, voxel_m, voxels):  # type: i
 
 
 @njit(inline="always")
-def _closest(precisions, voxel, mx, my, mz, dx, dy, dz):  # type: ignore[no-untyped-def]
+def closest(precisions, voxel, mx, my, mz, dx, dy, dz):  # type: ignore[no-untyped-def]
     """Where a ray passes a voxel's returns closest, and how close, in squares of their standard deviation.
 
     With precision P, mean m from the ray's origin and direction d: the t that minimises
@@ -112,7 +115,7 @@ def _closest(precisions, voxel, mx, my, mz, dx, dy, dz):  # type: ignore[no-unty
 
 
 @njit(inline="always")
-def _voxel_at(row, x, y, z, occupied, cells):  # type: ignore[no-untyped-def]
+def voxel_at(row, x, y, z, occupied, cells):  # type: ignore[no-untyped-def]
     """A voxel's number, or -1 in most: their bits lie in a nearer cache than their numbers would."""
     within = ((y & 7) << 3) | (z & 7)
     is_there = (occupied[row, x & 7] >> np.uint64(within)) & np.uint64(1) != np.uint64(0)
@@ -134,7 +137,7 @@ def _steps_before(leave, t_next, borders_a_metre, left):  # type: ignore[no-unty
 
 
 @njit(inline="always")
-def _cross_brick(  # type: ignore[no-untyped-def]
+def cross_brick(  # type: ignore[no-untyped-def]
     x, x_step, x_next, x_length, x_density, y, y_step, y_next, y_length, y_density,
     z, z_step, z_next, z_length, z_density,
 ):  # fmt: skip
@@ -151,108 +154,15 @@ def _cross_brick(  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-def count_passes(
-    origins: np.ndarray, directions: np.ndarray, stops_m: np.ndarray, grid: Any, means: np.ndarray,
-    precisions: np.ndarray, crossed_stops_m: np.ndarray = _NO_STOPS,
-) -> np.ndarray:  # fmt: skip
-    """How often each voxel's returns were seen through by rays that end at given distances.
-
-    Args:
-        origins: (n, 3) float32, scene-local.
-        directions: (n, 3) float32, of unit length.
-        stops_m: (n,) float32 where each ray ends.
-        grid: A `VoxelIndex`: which voxels have returns.
-        means: (v, 3) float32 mean of each voxel's returns.
-        precisions: (v, 6) float32, or (0, 6) without shapes.
-        crossed_stops_m: (n,) float32 where each ray ends without shapes, at most `stops_m`; empty = it is not
-            asked what would be counted without them.
-
-    Returns:
-        (1, v) int32: rays that met a voxel's returns (see above; without shapes, that crossed the voxel) and
-        left the voxel before their end. If asked, (2, v): the second row without shapes, of the same walk.
-    """
-    counted: np.ndarray = _count_passes(
-        origins, directions, stops_m, grid, means, precisions, crossed_stops_m, get_num_threads()
-    )
-    return counted
-
-
-@njit(parallel=True, cache=True, nogil=True)
-def _count_passes(  # type: ignore[no-untyped-def]
-    origins, directions, stops_m, grid, means, precisions, crossed_stops_m, n_threads
-):  # fmt: skip
-    # Whole numbers: their sum is the same in any order.
-    partial = np.zeros((n_threads, 2 if len(crossed_stops_m) else 1, means.shape[0]), np.int32)
-    n = origins.shape[0]
-    for thread in prange(n_threads):
-        for ray in range(thread * n // n_threads, (thread + 1) * n // n_threads):
-            crossed_m = float(crossed_stops_m[ray]) if len(crossed_stops_m) else -1.0
-            _count_ray(
-                origins[ray], directions[ray], (float(stops_m[ray]), crossed_m), grid, means, precisions,
-                partial[thread],
-            )  # fmt: skip
-    return partial.sum(axis=0)
-
-
-@njit(cache=True)
-def _count_ray(  # type: ignore[no-untyped-def]
-    origin, direction, stops_m, grid, means, precisions, passes
-):  # fmt: skip
-    """Add one to `passes` (1, v) of each voxel whose returns a ray meets and that it has left before its end.
-
-    Of (2, v) the second row counts all voxels that it crosses before its second, earlier end.
-    """
-    (stop_m, crossed_m), (grid_origin, voxel_m, bricks, cells, occupied) = stops_m, grid
-    x_voxels, y_voxels, z_voxels = bricks.shape[0] * BRICK, bricks.shape[1] * BRICK, bricks.shape[2] * BRICK
-    ox, oy, oz = origin[0], origin[1], origin[2]
-    dx, dy, dz = direction[0], direction[1], direction[2]
-    t, t_far = clip(ox, dx, grid_origin[0], grid_origin[0] + x_voxels * voxel_m, 0.0, stop_m)
-    t, t_far = clip(oy, dy, grid_origin[1], grid_origin[1] + y_voxels * voxel_m, t, t_far)
-    t, t_far = clip(oz, dz, grid_origin[2], grid_origin[2] + z_voxels * voxel_m, t, t_far)
-    if t >= t_far:
-        return
-    t_crossed = min(t_far, crossed_m) if t < crossed_m else -1.0
-    x, x_step, x_next, x_length = _first_voxel(ox, dx, t, grid_origin[0], voxel_m, x_voxels)
-    y, y_step, y_next, y_length = _first_voxel(oy, dy, t, grid_origin[1], voxel_m, y_voxels)
-    z, z_step, z_next, z_length = _first_voxel(oz, dz, t, grid_origin[2], voxel_m, z_voxels)
-    x_density, y_density, z_density = abs(dx) / voxel_m, abs(dy) / voxel_m, abs(dz) / voxel_m
-    while True:
-        row = bricks[x >> 3, y >> 3, z >> 3]
-        if row < 0:
-            x, x_next, y, y_next, z, z_next = _cross_brick(
-                x, x_step, x_next, x_length, x_density, y, y_step, y_next, y_length, y_density,
-                z, z_step, z_next, z_length, z_density,
-            )  # fmt: skip
-        nearest = min(x_next, min(y_next, z_next))
-        if nearest > t_far:
-            return
-        if row >= 0:
-            voxel = _voxel_at(row, x, y, z, occupied, cells)
-            if voxel >= 0:
-                apart = 0.0
-                if precisions.shape[0] > 0:
-                    _, apart = _closest(
-                        precisions, voxel, means[voxel, 0] - ox, means[voxel, 1] - oy, means[voxel, 2] - oz,
-                        dx, dy, dz,
-                    )  # fmt: skip
-                if apart <= _REACH:
-                    passes[0, voxel] += 1
-                if nearest <= t_crossed:
-                    passes[1, voxel] += 1
-        if x_next <= y_next and x_next <= z_next:
-            x += x_step
-            x_next += x_length
-            inside = x >= 0 and x < x_voxels
-        elif y_next <= z_next:
-            y += y_step
-            y_next += y_length
-            inside = y >= 0 and y < y_voxels
-        else:
-            z += z_step
-            z_next += z_length
-            inside = z >= 0 and z < z_voxels
-        if not inside:
-            return
+@njit(inline="always")
+def off_plane(points, normals, voxel, ox, oy, oz, dx, dy, dz, t_in, t_out):  # type: ignore[no-untyped-def]
+    """By how many metres a ray misses a voxel's plane between its ranges t_in and t_out; 0 if it meets it."""
+    nx, ny, nz = normals[voxel, 0], normals[voxel, 1], normals[voxel, 2]
+    mx, my, mz = points[voxel, 0] - ox, points[voxel, 1] - oy, points[voxel, 2] - oz
+    across, slant = nx * mx + ny * my + nz * mz, nx * dx + ny * dy + nz * dz
+    first, last = across - slant * t_in, across - slant * t_out
+    # On one side of the plane all the way.
+    return min(abs(first), abs(last)) if first * last > 0.0 else 0.0
 
 
 @njit(cache=True)
@@ -274,7 +184,7 @@ def walk(  # type: ignore[no-untyped-def]
     """
     grid_origin, voxel_m, bricks, cells, occupied = grid
     means, normals, precisions, opacities = surfaces[0], surfaces[1], surfaces[2], surfaces[3]
-    near_m, far_m, most, missed_share, stop_transmittance, faintest = limits
+    near_m, far_m, most, stop_transmittance, faintest = limits
     range_m, voxels, opacity, cosine = found_surfaces
     ny_bricks, nz_bricks = bricks.shape[1], bricks.shape[2]
     x_voxels, y_voxels, z_voxels = bricks.shape[0] * BRICK, ny_bricks * BRICK, nz_bricks * BRICK
@@ -285,9 +195,9 @@ def walk(  # type: ignore[no-untyped-def]
     t, t_far = clip(oz, dz, grid_origin[2], grid_origin[2] + z_voxels * voxel_m, t, t_far)
     if t >= t_far:
         return 0
-    x, x_step, x_next, x_length = _first_voxel(ox, dx, t, grid_origin[0], voxel_m, x_voxels)
-    y, y_step, y_next, y_length = _first_voxel(oy, dy, t, grid_origin[1], voxel_m, y_voxels)
-    z, z_step, z_next, z_length = _first_voxel(oz, dz, t, grid_origin[2], voxel_m, z_voxels)
+    x, x_step, x_next, x_length = first_voxel(ox, dx, t, grid_origin[0], voxel_m, x_voxels)
+    y, y_step, y_next, y_length = first_voxel(oy, dy, t, grid_origin[1], voxel_m, y_voxels)
+    z, z_step, z_next, z_length = first_voxel(oz, dz, t, grid_origin[2], voxel_m, z_voxels)
     x_density, y_density, z_density = abs(dx) / voxel_m, abs(dy) / voxel_m, abs(dz) / voxel_m
     is_shaped = precisions.shape[0] > 0
     light = 1.0
@@ -295,12 +205,12 @@ def walk(  # type: ignore[no-untyped-def]
     while True:
         row = bricks[x >> 3, y >> 3, z >> 3]
         if row < 0:
-            x, x_next, y, y_next, z, z_next = _cross_brick(
+            x, x_next, y, y_next, z, z_next = cross_brick(
                 x, x_step, x_next, x_length, x_density, y, y_step, y_next, y_length, y_density,
                 z, z_step, z_next, z_length, z_density,
             )  # fmt: skip
         else:
-            voxel = _voxel_at(row, x, y, z, occupied, cells)
+            voxel = voxel_at(row, x, y, z, occupied, cells)
             if voxel >= 0:
                 t_out = min(min(x_next, min(y_next, z_next)), t_far)
                 mx, my, mz = means[voxel, 0] - ox, means[voxel, 1] - oy, means[voxel, 2] - oz
@@ -311,16 +221,17 @@ def walk(  # type: ignore[no-untyped-def]
                 hit = float(mx * dx + my * dy + mz * dz)
                 incidence = _NO_PLANE_COSINE
                 if is_shaped:
-                    hit, apart = _closest(precisions, voxel, mx, my, mz, dx, dy, dz)
-                    if apart > _REACH:
-                        alpha *= missed_share
+                    hit, apart = closest(precisions, voxel, mx, my, mz, dx, dy, dz)
+                    if apart > REACH:
+                        alpha *= _MISSED_SHARE
                     elif not is_planar:
                         alpha *= math.exp(-_FALL * apart)
                 if is_planar:
                     incidence = float(abs(slant))
                     hit = float((nx * mx + ny * my + nz * mz) / slant) if incidence > 1e-6 else -1.0
-                    if not is_shaped and (hit < t or hit > t_out):
-                        alpha *= missed_share
+                    if not is_shaped:
+                        off_m = off_plane(means, normals, voxel, ox, oy, oz, dx, dy, dz, t, t_out)
+                        alpha *= math.exp(-off_m / SOFT_M)
                 if alpha * light >= faintest:
                     range_m[found] = min(max(hit, t), t_out)
                     voxels[found] = voxel
@@ -357,8 +268,8 @@ def find_candidates(  # type: ignore[no-untyped-def]
 
     A voxel's candidate is where the ray meets its plane (normal not 0), else where it passes its returns (or,
     without shapes, their mean) closest, kept inside the voxel. Opacity falls off towards the ends of a shape
-    that is no plane; returns that are missed, or without shapes a plane that is missed inside its voxel, keep
-    `missed_share` of it.
+    that is no plane, and without shapes with the distance by which a plane is missed inside its voxel; shapes
+    that are missed keep a small share.
 
     Args:
         origins: (n, 3) float32, scene-local.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.evidence.surfels import Surfels, build_surfels, unobserved_beside
-from nvsf_core.kernels.voxel_march import count_passes
+from nvsf_core.kernels.voxel_passes import count_passes
 
 Rays = tuple[np.ndarray, np.ndarray, np.ndarray]
 WALL_X_M, BEHIND_X_M, VOXEL_M = 10.1, 14.1, 0.2

@@ -13,7 +13,7 @@ import pytest
 from nvsf_core import kernels
 from nvsf_core.geometry import voxels
 from nvsf_core.kernels.cache import COMPILED, TUPLES
-from nvsf_core.kernels.voxel_march import count_passes
+from nvsf_core.kernels.voxel_passes import count_passes
 
 _ASK = "import numba, nvsf_core.kernels.surfel_rendering as p; print(numba.config.CACHE_DIR, p.__file__)"
 

@@ -12,6 +12,10 @@ NEAR_M, FAR_M = 0.9, 60.0
 
 @pytest.fixture(scope="module", params=[False, True], ids=["without shapes", "with shapes"])
 def sparse(request: pytest.FixtureRequest) -> Surfels:
+    return thirty_heaps(shaped=request.param)
+
+
+def thirty_heaps(*, shaped: bool) -> Surfels:
     """Surfels of thirty heaps of returns in a room of 40 m, most of whose bricks are empty."""
     generator = np.random.default_rng(0)
     points = np.repeat(heaps_m(), 200, axis=0) + generator.normal(0.0, 0.8, (6000, 3))
@@ -20,7 +24,7 @@ def sparse(request: pytest.FixtureRequest) -> Surfels:
     origin = np.zeros((6000, 3), np.float32)
     return build_surfels(
         origin, direction.astype(np.float32), range_m.astype(np.float32), np.full(6000, 0.4),
-        voxel_m=VOXEL_M, shaped=request.param,
+        voxel_m=VOXEL_M, shaped=shaped,
     )  # fmt: skip
 
 
@@ -69,9 +73,9 @@ def apart(surfels: Surfels, origin: np.ndarray, direction: np.ndarray) -> np.nda
 
 
 def walked(surfels: Surfels, stop: float = 0.0, faintest: float = 0.0) -> tuple[np.ndarray, ...]:
-    """Of `some_rays`: ranges, voxels, opacities, cosines and counts; what is missed keeps a tenth."""
+    """Of `some_rays`: ranges, voxels, opacities, cosines and counts."""
     return find_candidates(
-        *some_rays(), surfels.index, surfels.surfaces, WalkLimits(NEAR_M, FAR_M, 200, 0.1, stop, faintest)
+        *some_rays(), surfels.index, surfels.surfaces, WalkLimits(NEAR_M, FAR_M, 200, stop, faintest)
     )
 
 
@@ -91,22 +95,46 @@ def test_a_ray_meets_exactly_the_voxels_whose_slabs_it_crosses_in_their_order(sp
         assert (voxel[ray, count[ray] :] == -1).all() and (opacity[ray, count[ray] :] == 0.0).all()
 
 
-def test_opacity_falls_off_towards_a_round_shape_s_ends_and_a_tenth_is_left_beyond_any(sparse) -> None:
+def missed_by_m(
+    surfels: Surfels, origin: np.ndarray, direction: np.ndarray, crossed: np.ndarray
+) -> np.ndarray:
+    """How far a ray stays, inside each voxel that it crosses (c,), from its plane, metres; 0: it meets it."""
+    ends_m = np.stack(crossed_m(surfels, origin, direction), axis=1)[crossed]
+    points = origin.astype(np.float64) + ends_m[..., None] * direction.astype(np.float64)
+    off_m = np.einsum("cea,ca->ce", points - surfels.mean_m[crossed, None], surfels.normal[crossed])
+    return np.where(off_m[:, 0] * off_m[:, 1] > 0.0, np.abs(off_m).min(axis=1), 0.0)
+
+
+def test_a_plane_that_is_missed_stops_less_the_farther_it_is_missed() -> None:
+    sparse = thirty_heaps(shaped=False)
+    _, voxel, opacity, _, count = walked(sparse)
+    origin, direction = some_rays()
+    shares = []
+    for ray in range(len(origin)):
+        found = voxel[ray, : count[ray]]
+        share = opacity[ray, : count[ray]] / sparse.opacity[found]
+        off_m = missed_by_m(sparse, origin[ray], direction[ray], found)
+        assert share == pytest.approx(np.exp(-off_m / 0.01), rel=2e-3, abs=1e-6)
+        assert (share[~sparse.is_planar[found]] == 1.0).all()
+        shares.append(share)
+    shares = np.concatenate(shares)
+    assert (shares == 1.0).sum() > 100 and (shares < 0.5).sum() > 50
+
+
+def test_opacity_falls_off_towards_a_round_shape_s_ends_and_little_is_left_beyond_any() -> None:
+    sparse = thirty_heaps(shaped=True)
     _, voxel, opacity, _, count = walked(sparse)
     origin, direction = some_rays()
     beyond = 0
     for ray in range(len(origin)):
         found = voxel[ray, : count[ray]]
         share = opacity[ray, : count[ray]] / sparse.opacity[found]
-        if len(sparse.precision) == 0:
-            assert (np.isclose(share, 0.1) | np.isclose(share, 1.0)).all()
-            continue
         off = apart(sparse, origin[ray], direction[ray])[found]
         sure = np.abs(off - 6.25) > 1e-2
         within = np.where(sparse.is_planar[found], 1.0, np.exp(-0.2 * off))
-        assert share[sure] == pytest.approx(np.where(off > 6.25, 0.1, within)[sure], rel=1e-3)
+        assert share[sure] == pytest.approx(np.where(off > 6.25, 0.03, within)[sure], rel=1e-3)
         beyond += int((off > 6.25).sum())
-    assert beyond > 100 or len(sparse.precision) == 0
+    assert beyond > 100
 
 
 def test_the_walk_ends_where_no_light_is_left(sparse) -> None:
