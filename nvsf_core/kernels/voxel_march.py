@@ -86,7 +86,16 @@ def clip(origin, direction, low, high, t_near, t_far):  # type: ignore[no-untype
 
 @njit(inline="always")
 def first_voxel(origin, direction, t, grid_origin, voxel_m, voxels):  # type: ignore[no-untyped-def]
-    """Along one axis at distance t: voxel, its step, distance to its border, distance between borders."""
+    """Along one axis at distance t: voxel, its step, distance to its border, distance between borders.
+
+    Args:
+        origin: Of the ray, along the axis, metres.
+        direction: Of the ray, along the axis.
+        t: Distance along the ray, metres.
+        grid_origin: Of the grid, along the axis, metres.
+        voxel_m: Edge of a voxel.
+        voxels: Number of voxels along the axis.
+    """
     index = min(max(math.floor((origin + t * direction - grid_origin) / voxel_m), 0), voxels - 1)
     if direction > 0.0:
         return index, 1, (grid_origin + (index + 1) * voxel_m - origin) / direction, voxel_m / direction
@@ -96,12 +105,23 @@ def first_voxel(origin, direction, t, grid_origin, voxel_m, voxels):  # type: ig
     return index, 1, _NEVER_M, 0.0
 
 
+# Wide: vectors are passed as scalars, which the compiler keeps in registers.
 @njit(inline="always")
 def closest(precisions, voxel, mx, my, mz, dx, dy, dz):  # type: ignore[no-untyped-def]
     """Where a ray passes a voxel's returns closest, and how close, in squares of their standard deviation.
 
     With precision P, mean m from the ray's origin and direction d: the t that minimises
     (m - t d)^T P (m - t d). It is sought from the foot of the mean on the ray, near which float32 is fine.
+
+    Args:
+        precisions: (v, 6) float32.
+        voxel: Number of the voxel.
+        mx: Mean of its returns from the ray's origin, metres, along x.
+        my: Along y.
+        mz: Along z.
+        dx: Direction of the ray along x.
+        dy: Along y.
+        dz: Along z.
     """
     xx, xy, xz = precisions[voxel, 0], precisions[voxel, 1], precisions[voxel, 2]
     yy, yz, zz = precisions[voxel, 3], precisions[voxel, 4], precisions[voxel, 5]
@@ -116,7 +136,16 @@ def closest(precisions, voxel, mx, my, mz, dx, dy, dz):  # type: ignore[no-untyp
 
 @njit(inline="always")
 def voxel_at(row, x, y, z, occupied, cells):  # type: ignore[no-untyped-def]
-    """A voxel's number, or -1 in most: their bits lie in a nearer cache than their numbers would."""
+    """A voxel's number, or -1 in most: their bits lie in a nearer cache than their numbers would.
+
+    Args:
+        row: Of the voxel's brick in `occupied` and `cells`.
+        x: Grid coordinate of the voxel.
+        y: As x.
+        z: As x.
+        occupied: Bits of the bricks' voxels, see `VoxelIndex`.
+        cells: Numbers of the bricks' voxels.
+    """
     within = ((y & 7) << 3) | (z & 7)
     is_there = (occupied[row, x & 7] >> np.uint64(within)) & np.uint64(1) != np.uint64(0)
     return cells[row, ((x & 7) << 6) | within] if is_there else np.int32(-1)
@@ -136,12 +165,31 @@ def _steps_before(leave, t_next, borders_a_metre, left):  # type: ignore[no-unty
     return min(left, int((leave - t_next) * borders_a_metre) + 1)
 
 
+# Wide: five numbers an axis, as scalars, which the compiler keeps in registers.
 @njit(inline="always")
 def cross_brick(  # type: ignore[no-untyped-def]
     x, x_step, x_next, x_length, x_density, y, y_step, y_next, y_length, y_density,
     z, z_step, z_next, z_length, z_density,
 ):  # fmt: skip
-    """Voxel and next border along each axis in the last voxel of an empty brick that the ray crosses."""
+    """Voxel and next border along each axis in the last voxel of an empty brick that the ray crosses.
+
+    Args:
+        x: Grid coordinate of the voxel in which the ray is.
+        x_step: By how many voxels it goes on along x, 1 or -1.
+        x_next: Metres along the ray to the next border.
+        x_length: Metres along the ray between two borders.
+        x_density: Borders a metre.
+        y: As of x.
+        y_step: As of x.
+        y_next: As of x.
+        y_length: As of x.
+        y_density: As of x.
+        z: As of x.
+        z_step: As of x.
+        z_next: As of x.
+        z_length: As of x.
+        z_density: As of x.
+    """
     x_left, y_left, z_left = _left(x, x_step), _left(y, y_step), _left(z, z_step)
     leave = min(x_next + x_left * x_length, min(y_next + y_left * y_length, z_next + z_left * z_length))
     x_steps = _steps_before(leave, x_next, x_density, x_left)
@@ -154,9 +202,24 @@ def cross_brick(  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
+# Wide: vectors are passed as scalars, which the compiler keeps in registers.
 @njit(inline="always")
 def off_plane(points, normals, voxel, ox, oy, oz, dx, dy, dz, t_in, t_out):  # type: ignore[no-untyped-def]
-    """By how many metres a ray misses a voxel's plane between its ranges t_in and t_out; 0 if it meets it."""
+    """By how many metres a ray misses a voxel's plane inside the voxel; 0 if it meets it, or there is none.
+
+    Args:
+        points: (v, 3) float32, a point of each plane, metres.
+        normals: (v, 3) float32, 0 where there is none.
+        voxel: Number of the voxel.
+        ox: Origin of the ray along x, metres.
+        oy: Along y.
+        oz: Along z.
+        dx: Direction of the ray along x.
+        dy: Along y.
+        dz: Along z.
+        t_in: Where the ray enters the voxel, metres along it.
+        t_out: Where it leaves it.
+    """
     nx, ny, nz = normals[voxel, 0], normals[voxel, 1], normals[voxel, 2]
     mx, my, mz = points[voxel, 0] - ox, points[voxel, 1] - oy, points[voxel, 2] - oz
     across, slant = nx * mx + ny * my + nz * mz, nx * dx + ny * dy + nz * dz

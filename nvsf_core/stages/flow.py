@@ -28,11 +28,11 @@ SWEEPS = Stage(
     group="ingest",
     inputs=("frames",),
     description="Every LiDAR return with its laser, firing and time, as the ray that measured it.",
-    version="13",
+    version="14",
     run=_later("sweeps", "run"),
     reads_drive=True,
     check=_later("checks.registration", "check_registration"),
-    check_version="4",
+    check_version="5",
     named_checks=SWEEP_CHECKS,
     estimate_bytes=_later("sizes", "sweeps_bytes"),
 )
@@ -60,7 +60,7 @@ EVIDENCE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "hit priors, the own vehicle, and what moves and how.",
-    version="21",
+    version="22",
     run=_later("evidence", "run"),
     estimate_bytes=_later("sizes", "proof_bytes"),
 )
@@ -70,7 +70,7 @@ FIELD = Stage(
     inputs=("frames", "sweeps", "pano", "undistorted", "evidence"),
     description="The scene's trained model, for each sensor that the drive has, with the recipe and the "
     "training curve.",
-    version="39",
+    version="40",
     run=_later("field", "run"),
     estimate_bytes=_later("sizes", "field_bytes"),
     per_recipe=True,
@@ -91,7 +91,7 @@ NOVEL_VIEWS = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="35",
+    version="36",
     run=_later("novel_views", "run"),
     per_recipe=True,
     reads_views=True,
@@ -109,7 +109,7 @@ SCENE_METRICS = Stage(
         "the trained field and for the baselines that learn nothing; the same of views whose truth is known; "
         "and of every view what can be said without its truth."
     ),
-    version="16",
+    version="17",
     run=_later("scene_metrics", "run"),
     per_recipe=True,
     reads_truth=True,
@@ -123,7 +123,7 @@ DATASET = Stage(
     inputs=("frames", "evidence", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
     " with a manifest of what they came from and a card of how wrong they are.",
-    version="12",
+    version="13",
     run=_later("dataset", "run"),
     per_recipe=True,
     per_draw=True,
