@@ -48,8 +48,8 @@ def count_passes(
         planes: Planes of the same voxels, if it is asked how often these were seen through.
 
     Returns:
-        (1, v) int32: rays that met a voxel's returns (see above; without shapes, that crossed the voxel) and
-        left the voxel before their end. With planes (2, v): the second row of them, of the same walk.
+        (1, v) int32: rays that met a voxel's returns (see `voxel_march`; without shapes, crossed the voxel)
+        and left the voxel before their end. With planes (2, v): the second row of them, of the same walk.
     """
     counted: np.ndarray = _count_passes(
         origins, directions, stops_m, grid, means, precisions, planes, get_num_threads()

@@ -17,8 +17,8 @@ from tests.conftest import clean_environment
 
 
 def _as_in_a_terminal() -> None:
-    """Heed what `nohup` or a shell's background ignores, and so do its children."""
-    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTSTP):
+    """Heed what `nohup`, a shell's background or a supervisor ignores, and so do its children."""
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGTERM, signal.SIGTSTP):
         signal.signal(number, signal.SIG_DFL)
 
 

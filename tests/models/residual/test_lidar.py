@@ -97,7 +97,8 @@ def test_few_rays_make_smaller_steps_rather_than_fewer(rays: int, steps: int, a_
 def test_a_field_that_does_not_beat_reproject_is_replaced_by_it_and_that_is_said(broken: Judged) -> None:
     said = broken.outcome.metadata
     assert said["lidar_shows"] == "reproject: learning did not beat it"
-    assert float(said["lidar_judged_f_score"]) < float(said["lidar_judged_reproject_f_score"])
+    assert float(said["lidar_judged_hit_accuracy"]) < float(said["lidar_judged_reproject_hit_accuracy"])
+    assert float(said["lidar_judged_chamfer_m2"]) > float(said["lidar_judged_reproject_chamfer_m2"])
     model = load_trained(broken.outcome.path, broken.recording)
     assert broken.is_reproject(model)
     assert model.pano is None, "the baseline's pano is the projection of its scan"
