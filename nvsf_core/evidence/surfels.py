@@ -158,8 +158,8 @@ def build_surfels(
     returns = _returns(origin_m, direction, range_m, intensity, voxel_m=voxel_m, is_surface=is_surface)
     precision = returns.precision() if shaped else _NO_SHAPES
     planes = returns.joined_planes() if joined and not shaped else returns.own_planes()
-    passes = returns.passes(precision, planes)
-    return returns.surfels(planes, precision, passes[0] if shaped else passes[1])
+    passes = returns.passes(precision, None if shaped else planes)
+    return returns.surfels(planes, precision, passes[-1])
 
 
 def build_both(
@@ -201,15 +201,15 @@ class _Returns:
     hits: np.ndarray
     intensity: np.ndarray
 
-    def passes(self, precision: np.ndarray, planes: VoxelPlanes) -> np.ndarray:
-        """(2, v) int32: rays that passed through the shapes (v, 6), and through the planes.
+    def passes(self, precision: np.ndarray, planes: VoxelPlanes | None) -> np.ndarray:
+        """(1, v) int32: rays that passed through the shapes (v, 6); with planes (2, v), then through these.
 
         See `build_surfels`. The first row means nothing without shapes, (0, 6).
         """
-        met = MetPlanes(self._stops_m(_PLANE_MARGIN), planes.mean_m, planes.normal)
-        return count_passes(
-            *self.rays, self._stops_m(_SHAPE_MARGIN), self.index, self.mean_m, precision, met
-        )  # fmt: skip
+        shapes = (*self.rays, self._stops_m(_SHAPE_MARGIN), self.index, self.mean_m, precision)
+        if planes is None:
+            return count_passes(*shapes)
+        return count_passes(*shapes, MetPlanes(self._stops_m(_PLANE_MARGIN), planes.mean_m, planes.normal))
 
     def _stops_m(self, margin: float) -> np.ndarray:
         """(n,) float32: up to where each ray passes through voxels, `margin` voxels before its return."""

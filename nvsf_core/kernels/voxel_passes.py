@@ -92,6 +92,8 @@ def _count_ray(  # type: ignore[no-untyped-def]
     t, t_far = clip(oz, dz, grid_origin[2], grid_origin[2] + z_voxels * voxel_m, t, t_far)
     if t >= t_far:
         return
+    # A ray that ends where it begins has passed nothing, also where it begins on a border.
+    shape_m, plane_m = shape_m if shape_m > t else -1.0, plane_m if plane_m > t else -1.0
     x, x_step, x_next, x_length = first_voxel(ox, dx, t, grid_origin[0], voxel_m, x_voxels)
     y, y_step, y_next, y_length = first_voxel(oy, dy, t, grid_origin[1], voxel_m, y_voxels)
     z, z_step, z_next, z_length = first_voxel(oz, dz, t, grid_origin[2], voxel_m, z_voxels)
