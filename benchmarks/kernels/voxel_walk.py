@@ -19,7 +19,7 @@ from benchmarks.common.stored import write_measured
 from benchmarks.kernels.voxel_walk_table import WALK_RESULTS
 from benchmarks.tables.results_table import write
 from nvsf_core.drives.catalogue import home_from_environment
-from nvsf_core.evidence.surfels import Surfels, build_surfels, candidates_of
+from nvsf_core.evidence.surfels import Surfels, build_both, candidates_of
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import Sweeps
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
@@ -49,12 +49,11 @@ def measure(store: SceneStore) -> list[dict[str, Any]]:
         return []
     kinds = {"with shapes": evidence.for_rendering, "without": evidence.static}
     return [
-        {"scene": store.scene, "surfaces": name, **_row(sweeps, surfels, shaped=name == "with shapes")}
-        for name, surfels in kinds.items()
+        {"scene": store.scene, "surfaces": name, **_row(sweeps, surfels)} for name, surfels in kinds.items()
     ]
 
 
-def _row(sweeps: Sweeps, surfels: Surfels, *, shaped: bool) -> dict[str, Any]:
+def _row(sweeps: Sweeps, surfels: Surfels) -> dict[str, Any]:
     """Training returns prove, held-out returns ask; without any held-out scan the training ones ask."""
     a = sweeps.arrays
     of_training = np.repeat(sweeps.is_training, np.diff(a["offsets"]))
@@ -65,9 +64,9 @@ def _row(sweeps: Sweeps, surfels: Surfels, *, shaped: bool) -> dict[str, Any]:
     most, far_m = EvidenceSpec().lidar_candidates, float(sweeps.table.max_range_m)
     votes = np.ones(len(origin_m), np.float32)
     build = _seconds(
-        lambda: build_surfels(
+        lambda: build_both(
             a["origin_m"][proving], a["direction"][proving], a["range_m"][proving], a["intensity"][proving],
-            voxel_m=surfels.index.voxel_m, shaped=shaped,
+            voxel_m=surfels.index.voxel_m,
         )
     )  # fmt: skip
     listing = _seconds(

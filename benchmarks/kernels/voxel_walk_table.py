@@ -18,9 +18,9 @@ def walk_table(root: Path) -> str:
     about = (
         f"## The walk through the voxels\n\n"
         f"`python -m benchmarks.kernels.voxel_walk`: million rays a second. *build*: all training returns to "
-        f"surfels, see-throughs counted; *list*: the surfaces a ray may end on; *answer*: the range that "
-        f"`reproject` gives; its error is that of the held-out returns. Machine: {facts['machine']}. "
-        f"Commit {facts['commit']}. Target: a walk of at least 1.\n\n"
+        f"surfels of both kinds, see-throughs counted; *list*: the surfaces a ray may end on; *answer*: the "
+        f"range that `reproject` gives; its error is that of the held-out returns. "
+        f"Machine: {facts['machine']}. Commit {facts['commit']}. Target: a walk of at least 1.\n\n"
     )
     rates = ("build", "list", "answer")
     rows = [

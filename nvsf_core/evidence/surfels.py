@@ -1,6 +1,6 @@
 """Surfels: the surface in each voxel, and how often the voxel stopped a ray or let it pass."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -9,15 +9,16 @@ import numpy as np
 from nvsf_core.evidence.voxel_planes import VoxelPlanes, joined_planes, own_planes
 from nvsf_core.geometry.voxels import VoxelIndex, index_points, occupied_bits, voxel_moments
 from nvsf_core.kernels.voxel_march import VoxelSurfaces, WalkLimits, find_candidates
-from nvsf_core.kernels.voxel_passes import MetPlanes, count_passes
+from nvsf_core.kernels.voxel_passes import count_passes
 
 _STOP_TRANSMITTANCE = 0.005
-_PLANE_MARGIN, _SHAPE_MARGIN = 0.25, 0.5
-"""Voxels before its return up to which a ray passes through voxels' planes, and through shapes."""
+_MARGIN = 0.25
+"""Voxels before its return up to which a ray passes through voxels."""
 _NOISE_M = 0.005
 """Smallest standard deviation of returns from one surface."""
-_DOUBT = 0.3
-"""Weight, in returns, of a prior that they are spread evenly over the voxel; for the covariance."""
+_DOUBT, _DOUBT_OF_PLANES = 0.3, 3.0
+"""Weight, in returns, of a prior that they are spread evenly over the voxel, for the covariance. A few
+returns of a plane say little about where it ends: most planes go on in the voxel beside."""
 _FACES = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
 _NO_SHAPES = np.zeros((0, 6), np.float32)
 
@@ -32,8 +33,8 @@ class Surfels:
     normal: np.ndarray
     """(v, 3) float32: unit normal of the voxel's plane, 0 where there is none."""
     precision: np.ndarray
-    """(v, 6) float32, 1/m^2: inverse covariance of the voxel's returns as xx, xy, xz, yy, yz, zz; (0, 6) for
-    surfels without shapes."""
+    """(v, 6) float32, 1/m^2: inverse covariance of the voxel's returns as xx, xy, xz, yy, yz, zz; of a
+    plane's along it alone; (0, 6) for surfels without shapes."""
     thickness_m: np.ndarray
     """(v,) float32 metres: standard deviation across the plane."""
     intensity: np.ndarray
@@ -41,7 +42,7 @@ class Surfels:
     hits: np.ndarray
     """(v,) int32: number of rays that ended in the voxel."""
     passes: np.ndarray
-    """(v,) int32: number of rays that passed through it, or through its shape where it has one."""
+    """(v,) int32: number of rays that met the returns, within their shape where they have one, and passed."""
 
     ARRAYS: ClassVar[tuple[str, ...]] = (
         "grid_origin_m", "voxel_m", "bricks", "cells", "mean_m", "normal", "precision", "thickness_m",
@@ -132,16 +133,13 @@ def build_surfels(
     *,
     voxel_m: float,
     is_surface: np.ndarray | None = None,
-    shaped: bool = False,
     joined: bool = True,
 ) -> Surfels:
-    """Surfels of the returns of rays.
+    """Surfels of the returns of rays, without shapes.
 
-    Without shapes, a ray passes through a voxel whose plane it meets, or that it crosses if there is none, up
-    to a quarter of a voxel before its return. With shapes, it passes through a voxel only if it comes as near
-    to the voxel's returns as one of them would, and leaves it half a voxel before its own return. So a road
-    stays opaque below rays that graze it, and a wall beside a gap. `reproject` needs shapes; a field learns
-    less from them (decision 0013).
+    A ray passes through a voxel whose plane it meets, or misses by at most a centimetre, or that it crosses
+    if there is no plane, up to a quarter of a voxel before its return. So a road stays opaque below rays that
+    graze it.
 
     Args:
         origin_m: (n, 3) scene-local, metres.
@@ -151,15 +149,12 @@ def build_surfels(
         voxel_m: Edge of a voxel.
         is_surface: (n,) bool: the return is part of a surface. False for example on moving objects, whose
             rays then only pass through voxels. None = all are.
-        shaped: Whether surfels get shapes (`Surfels.precision`).
-        joined: Whether planes of surfels without shapes are those of the voxels around, too
-            (`joined_planes`): no small object's, past whose edges rays would see.
+        joined: Whether planes are those of the voxels around, too (`joined_planes`): no small object's, past
+            whose edges rays would see.
     """
-    returns = _returns(origin_m, direction, range_m, intensity, voxel_m=voxel_m, is_surface=is_surface)
-    precision = returns.precision() if shaped else _NO_SHAPES
-    planes = returns.joined_planes() if joined and not shaped else returns.own_planes()
-    passes = returns.passes(precision, None if shaped else planes)
-    return returns.surfels(planes, precision, passes[-1])
+    returns = _Returns.of(origin_m, direction, range_m, intensity, voxel_m, is_surface)
+    planes = joined_planes(*returns.moments) if joined else own_planes(*returns.moments[1:])
+    return returns.surfels(planes, _NO_SHAPES)[0]
 
 
 def build_both(
@@ -171,7 +166,11 @@ def build_both(
     voxel_m: float,
     is_surface: np.ndarray | None = None,
 ) -> tuple[Surfels, Surfels]:
-    """The same surfels without shapes and with them, faster than one after the other; see `build_surfels`.
+    """The surfels of `build_surfels`, and the same with shapes.
+
+    With shapes a ray passes through a voxel only where it comes as near to the voxel's returns as one of them
+    would: a wall stays opaque beside a gap. `reproject` needs them; a field learns less from them (decision
+    0013).
 
     Args:
         origin_m: (n, 3) scene-local, metres.
@@ -181,83 +180,52 @@ def build_both(
         voxel_m: Edge of a voxel.
         is_surface: (n,) bool: the return is part of a surface. None = all are.
     """
-    returns = _returns(origin_m, direction, range_m, intensity, voxel_m=voxel_m, is_surface=is_surface)
-    precision, joined, own = returns.precision(), returns.joined_planes(), returns.own_planes()
-    of_shapes, of_planes = returns.passes(precision, joined)
-    return returns.surfels(joined, _NO_SHAPES, of_planes), returns.surfels(own, precision, of_shapes)
+    returns = _Returns.of(origin_m, direction, range_m, intensity, voxel_m, is_surface)
+    planes = joined_planes(*returns.moments)
+    return returns.surfels(planes, _precision(returns, planes.normal))
 
 
 @dataclass(frozen=True, slots=True)
 class _Returns:
-    """Rays, and what their returns tell of each of v voxels; fields as of `Surfels`."""
+    """Rays, and what their returns tell of each of v voxels."""
 
-    rays: tuple[np.ndarray, np.ndarray]
-    """Origins and directions (n, 3) float32."""
-    range_m: np.ndarray
-    index: VoxelIndex
-    mean_m: np.ndarray
-    covariance: np.ndarray
-    """(v, 3, 3) float64, m^2."""
-    hits: np.ndarray
+    rays: tuple[np.ndarray, np.ndarray, np.ndarray]
+    """Origins and directions (n, 3), and up to where they pass through voxels (n,), float32."""
+    moments: tuple[VoxelIndex, np.ndarray, np.ndarray, np.ndarray]
+    """The voxels; of each its returns' mean (v, 3) float32, covariance (v, 3, 3) float64, and number (v,)."""
     intensity: np.ndarray
+    """(v,) float32."""
 
-    def passes(self, precision: np.ndarray, planes: VoxelPlanes | None) -> np.ndarray:
-        """(1, v) int32: rays that passed through the shapes (v, 6); with planes (2, v), then through these.
-
-        See `build_surfels`. The first row means nothing without shapes, (0, 6).
-        """
-        shapes = (*self.rays, self._stops_m(_SHAPE_MARGIN), self.index, self.mean_m, precision)
-        if planes is None:
-            return count_passes(*shapes)
-        return count_passes(*shapes, MetPlanes(self._stops_m(_PLANE_MARGIN), planes.mean_m, planes.normal))
-
-    def _stops_m(self, margin: float) -> np.ndarray:
-        """(n,) float32: up to where each ray passes through voxels, `margin` voxels before its return."""
-        found: np.ndarray = np.maximum(self.range_m - margin * self.index.voxel_m, 0).astype(np.float32)
-        return found
-
-    def own_planes(self) -> VoxelPlanes:
-        """Of each voxel's own returns."""
-        return own_planes(self.mean_m, self.covariance, self.hits)
-
-    def joined_planes(self) -> VoxelPlanes:
-        """Of the returns of the voxels around each too."""
-        return joined_planes(self.index, self.mean_m, self.covariance, self.hits)
-
-    def precision(self) -> np.ndarray:
-        """The surfels' shapes (v, 6)."""
-        return _precision(self.covariance, self.hits, self.index.voxel_m)
-
-    def surfels(self, planes: VoxelPlanes, precision: np.ndarray, passes: np.ndarray) -> Surfels:
-        """With planes, shapes (v, 6), or (0, 6) without, and passes (v,)."""
-        return Surfels(
-            index=self.index, mean_m=planes.mean_m, normal=planes.normal, precision=precision,
-            thickness_m=planes.thickness_m, intensity=self.intensity, hits=self.hits.astype(np.int32),
-            passes=passes,
+    # Wide: as of `build_surfels`.
+    @staticmethod
+    def of(
+        origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray, intensity: np.ndarray,
+        voxel_m: float, is_surface: np.ndarray | None,
+    ) -> "_Returns":  # fmt: skip
+        """Arguments as of `build_surfels`."""
+        kept = slice(None) if is_surface is None else is_surface
+        points = origin_m[kept] + direction[kept] * range_m[kept, None]
+        index, voxel = index_points(points, voxel_m)
+        hits = np.bincount(voxel, minlength=index.voxel_count)
+        mean, covariance = voxel_moments(points, voxel, hits)
+        shine = np.bincount(voxel, weights=intensity[kept], minlength=index.voxel_count)
+        origin, ray = (np.ascontiguousarray(vectors, np.float32) for vectors in (origin_m, direction))
+        return _Returns(
+            rays=(origin, ray, np.maximum(range_m - _MARGIN * voxel_m, 0).astype(np.float32)),
+            moments=(index, mean.astype(np.float32), covariance, hits),
+            intensity=(shine / hits).astype(np.float32),
         )  # fmt: skip
 
-
-def _returns(
-    origin_m: np.ndarray,
-    direction: np.ndarray,
-    range_m: np.ndarray,
-    intensity: np.ndarray,
-    *,
-    voxel_m: float,
-    is_surface: np.ndarray | None,
-) -> _Returns:
-    """Arguments as of `build_surfels`."""
-    kept = slice(None) if is_surface is None else is_surface
-    points = origin_m[kept] + direction[kept] * range_m[kept, None]
-    index, voxel = index_points(points, voxel_m)
-    hits = np.bincount(voxel, minlength=index.voxel_count)
-    mean, covariance = voxel_moments(points, voxel, hits)
-    shine = np.bincount(voxel, weights=intensity[kept], minlength=index.voxel_count)
-    return _Returns(
-        rays=(np.ascontiguousarray(origin_m, np.float32), np.ascontiguousarray(direction, np.float32)),
-        range_m=range_m, index=index, mean_m=mean.astype(np.float32), covariance=covariance, hits=hits,
-        intensity=(shine / hits).astype(np.float32),
-    )  # fmt: skip
+    def surfels(self, planes: VoxelPlanes, precision: np.ndarray) -> tuple[Surfels, Surfels]:
+        """Without shapes, and with the shapes (v, 6), or (0, 6) where none are asked for."""
+        index, _, _, hits = self.moments
+        crossed, met = count_passes(*self.rays, index, planes.mean_m, planes.normal, precision)
+        plain = Surfels(
+            index=index, mean_m=planes.mean_m, normal=planes.normal, precision=_NO_SHAPES,
+            thickness_m=planes.thickness_m, intensity=self.intensity, hits=hits.astype(np.int32),
+            passes=crossed,
+        )  # fmt: skip
+        return plain, replace(plain, precision=precision, passes=met)
 
 
 def candidates_of(
@@ -283,12 +251,21 @@ def candidates_of(
     return Candidates(range_m, voxel, opacity, cosine)
 
 
-def _precision(covariance: np.ndarray, hits: np.ndarray, voxel_m: float) -> np.ndarray:
-    """Inverse covariances (v, 6) float32 of returns, 1/m^2, smoothed where returns are few."""
+def _precision(returns: _Returns, normal: np.ndarray) -> np.ndarray:
+    """Inverse covariances (v, 6) float32, 1/m^2, smoothed where returns are few; of planes along them alone.
+
+    Args:
+        returns: In voxels.
+        normal: (v, 3) unit, 0 where they are no plane.
+    """
+    index, _, covariance, hits = returns.moments
+    across = normal[:, :, None].astype(np.float64) * normal[:, None, :]
+    doubt = np.where(normal.any(axis=1), _DOUBT_OF_PLANES, _DOUBT)[:, None, None]
     # A coordinate that is even over a voxel has the variance voxel_m^2 / 12.
-    even, noise = _DOUBT * voxel_m**2 / 12.0 * np.eye(3), _NOISE_M**2 * np.eye(3)
-    smoothed = (covariance * hits[:, None, None] + even) / (hits[:, None, None] + _DOUBT)
-    precision = np.linalg.inv(smoothed + noise)
+    even, noise = index.voxel_m**2 / 12.0 * np.eye(3), _NOISE_M**2 * np.eye(3)
+    smoothed = (covariance * hits[:, None, None] + doubt * even) / (hits[:, None, None] + doubt) + noise
+    along = np.eye(3) - across
+    precision = np.linalg.inv(along @ smoothed @ along + across) - across
     rows, columns = np.triu_indices(3)
     # In the order in which it is read from a store: a kernel is compiled for each.
     return np.ascontiguousarray(precision[:, rows, columns], np.float32)
@@ -325,9 +302,10 @@ def unobserved_beside(
     if len(beside) == 0:
         return None
     index, voxel = index_points(middle_m, voxel_m)
-    (passes,) = count_passes(
+    no_plane = np.zeros((index.voxel_count, 3), np.float32)
+    passes, _ = count_passes(
         np.ascontiguousarray(origin_m, np.float32), np.ascontiguousarray(direction, np.float32),
-        range_m.astype(np.float32), index, np.zeros((index.voxel_count, 3), np.float32), _NO_SHAPES,
+        range_m.astype(np.float32), index, no_plane, no_plane, _NO_SHAPES,
     )  # fmt: skip
     is_unobserved = passes[voxel] == 0
     if not is_unobserved.any():

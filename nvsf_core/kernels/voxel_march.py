@@ -4,9 +4,11 @@ The grid is stored in bricks of 8 x 8 x 8 voxels: `bricks` holds a brick's row i
 `cells` holds a voxel's number, or -1, and `occupied` as bits which voxels have one. A ray is
 origin + t * direction, direction of unit length.
 
-A voxel's returns fill it unevenly. Where their shape is known, by `precisions` (v, 6), a ray meets them only
-if it passes within 2.5 of their own standard deviations, else it neither sees through them nor ends there.
-Precisions are inverse covariances, 1/m^2: xx, xy, xz, yy, yz, zz; (0, 6) where no shapes are known.
+A voxel's returns fill it unevenly: a ray meets a plane where it crosses it, other returns where it passes
+them closest, and either only within 2.5 of the returns' own standard deviations, along the plane or all
+round. Else it neither sees through them nor ends there. The deviations are given as precisions (v, 6),
+inverse covariances in 1/m^2: xx, xy, xz, yy, yz, zz; with (0, 6) a ray meets whatever lies in a voxel that
+it crosses.
 """
 
 import math
@@ -20,15 +22,16 @@ _NO_PLANE_COSINE = 0.5
 _NEVER_M = 1e300
 REACH = 6.25
 """Square of the largest distance, in standard deviations of a voxel's returns, at which a ray meets them."""
-_FALL = 0.2
+_FALL = 0.1
 """At `apart` squared standard deviations off, returns that are no plane stop exp(-_FALL * apart) of what they
 stop in their middle. Planes stop as much out to their ends: walls must not leak between voxels."""
-_MISSED_SHARE = 0.03
-"""Share of its opacity that a shape keeps for a ray that misses it inside its voxel."""
+_MISSED_SHARE, _BESIDE_PLANE_SHARE = 0.03, 0.5
+"""Share of their opacity that returns, and a plane's, keep for a ray that misses them inside their voxel; a
+plane's more, for most go on in the voxel beside."""
 SOFT_M = 0.01
-"""Without shapes a plane that is missed inside its voxel, by d, stops exp(-d / SOFT_M) of what it stops
-else, and a ray that misses it by more has not seen through it (decision 0057): rays that graze a road cross
-many voxels above it."""
+"""A plane that a ray misses inside its voxel, by d, stops exp(-d / SOFT_M) of what it stops else, and a ray
+that misses it by more has not seen through it (decision 0057): rays that graze a road cross many voxels
+above it."""
 RAYS_A_TASK = 256
 """Rays that one thread renders before it takes more."""
 
@@ -41,7 +44,7 @@ class VoxelSurfaces(NamedTuple):
     normal: np.ndarray
     """(v, 3) float32; 0 where the returns are no plane."""
     precision: np.ndarray
-    """(v, 6) float32; (0, 6) where no shapes are known."""
+    """(v, 6) float32, of planes along them alone; (0, 6) where no extents are known."""
     opacity: np.ndarray
     """(v,) float32."""
     intensity: np.ndarray
@@ -103,35 +106,6 @@ def first_voxel(origin, direction, t, grid_origin, voxel_m, voxels):  # type: ig
         return index, -1, (grid_origin + index * voxel_m - origin) / direction, voxel_m / -direction
     # Never reached; times 0 it must not become NaN.
     return index, 1, _NEVER_M, 0.0
-
-
-# Wide: vectors are passed as scalars, which the compiler keeps in registers.
-@njit(inline="always")
-def closest(precisions, voxel, mx, my, mz, dx, dy, dz):  # type: ignore[no-untyped-def]
-    """Where a ray passes a voxel's returns closest, and how close, in squares of their standard deviation.
-
-    With precision P, mean m from the ray's origin and direction d: the t that minimises
-    (m - t d)^T P (m - t d). It is sought from the foot of the mean on the ray, near which float32 is fine.
-
-    Args:
-        precisions: (v, 6) float32.
-        voxel: Number of the voxel.
-        mx: Mean of its returns from the ray's origin, metres, along x.
-        my: Along y.
-        mz: Along z.
-        dx: Direction of the ray along x.
-        dy: Along y.
-        dz: Along z.
-    """
-    xx, xy, xz = precisions[voxel, 0], precisions[voxel, 1], precisions[voxel, 2]
-    yy, yz, zz = precisions[voxel, 3], precisions[voxel, 4], precisions[voxel, 5]
-    foot = mx * dx + my * dy + mz * dz
-    ex, ey, ez = mx - foot * dx, my - foot * dy, mz - foot * dz
-    px, py, pz = xx * dx + xy * dy + xz * dz, xy * dx + yy * dy + yz * dz, xz * dx + yz * dy + zz * dz
-    onward = (px * ex + py * ey + pz * ez) / (px * dx + py * dy + pz * dz)
-    ex, ey, ez = ex - onward * dx, ey - onward * dy, ez - onward * dz
-    apart = xx * ex * ex + yy * ey * ey + zz * ez * ez + 2.0 * (xy * ex * ey + xz * ex * ez + yz * ey * ez)
-    return float(foot + onward), apart
 
 
 @njit(inline="always")
@@ -202,14 +176,51 @@ def cross_brick(  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
+@njit(inline="always")
+def _squared(precisions, voxel, ex, ey, ez):  # type: ignore[no-untyped-def]
+    """e^T P e of an offset e, metres, and a voxel's precision P: squares of the returns' deviation."""
+    xx, xy, xz = precisions[voxel, 0], precisions[voxel, 1], precisions[voxel, 2]
+    yy, yz, zz = precisions[voxel, 3], precisions[voxel, 4], precisions[voxel, 5]
+    return xx * ex * ex + yy * ey * ey + zz * ez * ez + 2.0 * (xy * ex * ey + xz * ex * ez + yz * ey * ez)
+
+
 # Wide: vectors are passed as scalars, which the compiler keeps in registers.
 @njit(inline="always")
-def off_plane(points, normals, voxel, ox, oy, oz, dx, dy, dz, t_in, t_out):  # type: ignore[no-untyped-def]
-    """By how many metres a ray misses a voxel's plane inside the voxel; 0 if it meets it, or there is none.
+def _closest(precisions, voxel, mx, my, mz, dx, dy, dz):  # type: ignore[no-untyped-def]
+    """Where a ray passes a voxel's returns closest, and how close, in squares of their standard deviation.
+
+    With precision P, mean m from the ray's origin and direction d: the t that minimises
+    (m - t d)^T P (m - t d). It is sought from the foot of the mean on the ray, near which float32 is fine.
 
     Args:
-        points: (v, 3) float32, a point of each plane, metres.
-        normals: (v, 3) float32, 0 where there is none.
+        precisions: (v, 6) float32.
+        voxel: Number of the voxel.
+        mx: Mean of its returns from the ray's origin, metres, along x.
+        my: Along y.
+        mz: Along z.
+        dx: Direction of the ray along x.
+        dy: Along y.
+        dz: Along z.
+    """
+    xx, xy, xz = precisions[voxel, 0], precisions[voxel, 1], precisions[voxel, 2]
+    yy, yz, zz = precisions[voxel, 3], precisions[voxel, 4], precisions[voxel, 5]
+    foot = mx * dx + my * dy + mz * dz
+    ex, ey, ez = mx - foot * dx, my - foot * dy, mz - foot * dz
+    px, py, pz = xx * dx + xy * dy + xz * dz, xy * dx + yy * dy + yz * dz, xz * dx + yz * dy + zz * dz
+    onward = (px * ex + py * ey + pz * ez) / (px * dx + py * dy + pz * dz)
+    ex, ey, ez = ex - onward * dx, ey - onward * dy, ez - onward * dz
+    return float(foot + onward), _squared(precisions, voxel, ex, ey, ez)
+
+
+# Wide: vectors are passed as scalars, which the compiler keeps in registers.
+@njit(inline="always")
+def meet(means, normals, precisions, voxel, ox, oy, oz, dx, dy, dz, t_in, t_out):  # type: ignore[no-untyped-def]
+    """Where a ray meets the returns in a voxel that it crosses, and by how much it misses them.
+
+    Args:
+        means: (v, 3) float32: mean of each voxel's returns, of a plane a point on it, metres.
+        normals: (v, 3) float32; 0 where the returns are no plane.
+        precisions: (v, 6) or (0, 6) float32.
         voxel: Number of the voxel.
         ox: Origin of the ray along x, metres.
         oy: Along y.
@@ -219,13 +230,30 @@ def off_plane(points, normals, voxel, ox, oy, oz, dx, dy, dz, t_in, t_out):  # t
         dz: Along z.
         t_in: Where the ray enters the voxel, metres along it.
         t_out: Where it leaves it.
+
+    Returns:
+        Metres along the ray, inside the voxel; by how many metres it misses the plane there, 0 without a
+        plane; how far it passes from the mean, in squares of the returns' standard deviation;
+        cosine of the angle between ray and normal, -1 without a plane.
     """
+    mx, my, mz = means[voxel, 0] - ox, means[voxel, 1] - oy, means[voxel, 2] - oz
     nx, ny, nz = normals[voxel, 0], normals[voxel, 1], normals[voxel, 2]
-    mx, my, mz = points[voxel, 0] - ox, points[voxel, 1] - oy, points[voxel, 2] - oz
-    across, slant = nx * mx + ny * my + nz * mz, nx * dx + ny * dy + nz * dz
+    has_extents = precisions.shape[0] > 0
+    if nx == 0.0 and ny == 0.0 and nz == 0.0:
+        at, apart = float(mx * dx + my * dy + mz * dz), 0.0
+        if has_extents:
+            at, apart = _closest(precisions, voxel, mx, my, mz, dx, dy, dz)
+        return min(max(at, t_in), t_out), 0.0, apart, -1.0
+    across, slant = float(nx * mx + ny * my + nz * mz), float(nx * dx + ny * dy + nz * dz)
+    at = min(max(across / slant if abs(slant) > 1e-6 else -1.0, t_in), t_out)
     first, last = across - slant * t_in, across - slant * t_out
     # On one side of the plane all the way.
-    return min(abs(first), abs(last)) if first * last > 0.0 else 0.0
+    off_m = min(abs(first), abs(last)) if first * last > 0.0 else 0.0
+    apart = 0.0
+    if has_extents:
+        ex, ey, ez = mx - at * dx, my - at * dy, mz - at * dz
+        apart = _squared(precisions, voxel, ex, ey, ez)
+    return at, off_m, apart, abs(slant)
 
 
 @njit(cache=True)
@@ -262,7 +290,6 @@ def walk(  # type: ignore[no-untyped-def]
     y, y_step, y_next, y_length = first_voxel(oy, dy, t, grid_origin[1], voxel_m, y_voxels)
     z, z_step, z_next, z_length = first_voxel(oz, dz, t, grid_origin[2], voxel_m, z_voxels)
     x_density, y_density, z_density = abs(dx) / voxel_m, abs(dy) / voxel_m, abs(dz) / voxel_m
-    is_shaped = precisions.shape[0] > 0
     light = 1.0
     found = 0
     while True:
@@ -276,27 +303,20 @@ def walk(  # type: ignore[no-untyped-def]
             voxel = voxel_at(row, x, y, z, occupied, cells)
             if voxel >= 0:
                 t_out = min(min(x_next, min(y_next, z_next)), t_far)
-                mx, my, mz = means[voxel, 0] - ox, means[voxel, 1] - oy, means[voxel, 2] - oz
-                nx, ny, nz = normals[voxel, 0], normals[voxel, 1], normals[voxel, 2]
+                at, off_m, apart, incidence = meet(
+                    means, normals, precisions, voxel, ox, oy, oz, dx, dy, dz, t, t_out
+                )  # fmt: skip
                 alpha = float(opacities[voxel])
-                slant = nx * dx + ny * dy + nz * dz
-                is_planar = nx != 0.0 or ny != 0.0 or nz != 0.0
-                hit = float(mx * dx + my * dy + mz * dz)
-                incidence = _NO_PLANE_COSINE
-                if is_shaped:
-                    hit, apart = closest(precisions, voxel, mx, my, mz, dx, dy, dz)
-                    if apart > REACH:
-                        alpha *= _MISSED_SHARE
-                    elif not is_planar:
-                        alpha *= math.exp(-_FALL * apart)
-                if is_planar:
-                    incidence = float(abs(slant))
-                    hit = float((nx * mx + ny * my + nz * mz) / slant) if incidence > 1e-6 else -1.0
-                    if not is_shaped:
-                        off_m = off_plane(means, normals, voxel, ox, oy, oz, dx, dy, dz, t, t_out)
+                if incidence < 0.0:
+                    alpha *= math.exp(-_FALL * apart) if apart <= REACH else _MISSED_SHARE
+                    incidence = _NO_PLANE_COSINE
+                else:
+                    if off_m > 0.0:
                         alpha *= math.exp(-off_m / SOFT_M)
+                    if apart > REACH:
+                        alpha *= _BESIDE_PLANE_SHARE
                 if alpha * light >= faintest:
-                    range_m[found] = min(max(hit, t), t_out)
+                    range_m[found] = at
                     voxels[found] = voxel
                     opacity[found] = alpha
                     cosine[found] = incidence
@@ -330,9 +350,9 @@ def find_candidates(  # type: ignore[no-untyped-def]
     """The surfaces that each ray may end on, in order.
 
     A voxel's candidate is where the ray meets its plane (normal not 0), else where it passes its returns (or,
-    without shapes, their mean) closest, kept inside the voxel. Opacity falls off towards the ends of a shape
-    that is no plane, and without shapes with the distance by which a plane is missed inside its voxel; shapes
-    that are missed keep a small share.
+    without extents, their mean) closest, kept inside the voxel. Opacity falls off from the middle of returns
+    that are no plane, and with the distance by which a plane is missed inside its voxel; beyond their ends
+    little is left of the ones, half of the others.
 
     Args:
         origins: (n, 3) float32, scene-local.

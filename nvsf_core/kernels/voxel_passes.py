@@ -1,6 +1,6 @@
 """How often the returns in voxels were seen through by rays that end behind them, in numba."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import get_num_threads, njit, prange
@@ -10,31 +10,16 @@ from nvsf_core.kernels.voxel_march import (
     REACH,
     SOFT_M,
     clip,
-    closest,
     cross_brick,
     first_voxel,
-    off_plane,
+    meet,
     voxel_at,
 )
 
 
-class MetPlanes(NamedTuple):
-    """Planes in voxels, and up to where rays that meet them have seen through them."""
-
-    stops_m: np.ndarray
-    """(n,) float32 metres along each of n rays; (0,) = planes are not asked about."""
-    mean_m: np.ndarray
-    """(v, 3) float32, scene-local: a point of each plane."""
-    normal: np.ndarray
-    """(v, 3) float32; 0 where there is none: every ray that crosses the voxel meets what is there."""
-
-
-_NO_PLANES = MetPlanes(np.zeros(0, np.float32), np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
-
-
 def count_passes(
     origins: np.ndarray, directions: np.ndarray, stops_m: np.ndarray, grid: Any, means: np.ndarray,
-    precisions: np.ndarray, planes: MetPlanes = _NO_PLANES,
+    normals: np.ndarray, precisions: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """How often each voxel's returns were seen through by rays that end at given distances.
 
@@ -43,47 +28,42 @@ def count_passes(
         directions: (n, 3) float32, of unit length.
         stops_m: (n,) float32 where each ray ends.
         grid: A `VoxelIndex`: which voxels have returns.
-        means: (v, 3) float32 mean of each voxel's returns.
-        precisions: (v, 6) float32, or (0, 6) without shapes.
-        planes: Planes of the same voxels, if it is asked how often these were seen through.
+        means: (v, 3) float32 mean of each voxel's returns, of a plane a point on it.
+        normals: (v, 3) float32; 0 where the returns are no plane.
+        precisions: (v, 6) float32, see `voxel_march`, or (0, 6).
 
     Returns:
-        (1, v) int32: rays that met a voxel's returns (see `voxel_march`; without shapes, crossed the voxel)
-        and left the voxel before their end. With planes (2, v): the second row of them, of the same walk.
+        (2, v) int32: rays that left a voxel before their end and met its returns, and of these the rays that
+        met them within their extent, all of them with (0, 6).
     """
     counted: np.ndarray = _count_passes(
-        origins, directions, stops_m, grid, means, precisions, planes, get_num_threads()
+        origins, directions, stops_m, grid, means, normals, precisions, get_num_threads()
     )
     return counted
 
 
 @njit(parallel=True, cache=True, nogil=True)
 def _count_passes(  # type: ignore[no-untyped-def]
-    origins, directions, stops_m, grid, means, precisions, planes, n_threads
+    origins, directions, stops_m, grid, means, normals, precisions, n_threads
 ):  # fmt: skip
     # Whole numbers: their sum is the same in any order.
-    partial = np.zeros((n_threads, 2 if len(planes.stops_m) else 1, means.shape[0]), np.int32)
+    partial = np.zeros((n_threads, 2, means.shape[0]), np.int32)
     n = origins.shape[0]
     for thread in prange(n_threads):
         for ray in range(thread * n // n_threads, (thread + 1) * n // n_threads):
-            plane_m = float(planes.stops_m[ray]) if len(planes.stops_m) else -1.0
             _count_ray(
-                origins[ray], directions[ray], (float(stops_m[ray]), plane_m), grid, means, precisions,
-                planes, partial[thread],
+                origins[ray], directions[ray], float(stops_m[ray]), grid, means, normals, precisions,
+                partial[thread],
             )  # fmt: skip
     return partial.sum(axis=0)
 
 
 @njit(cache=True)
 def _count_ray(  # type: ignore[no-untyped-def]
-    origin, direction, stops_m, grid, means, precisions, planes, passes
+    origin, direction, stop_m, grid, means, normals, precisions, passes
 ):  # fmt: skip
-    """Add one to `passes` (1, v) of each voxel whose returns a ray meets and that it has left before its end.
-
-    Of (2, v) the second row counts all voxels whose planes it meets before its second end.
-    """
-    (shape_m, plane_m), (grid_origin, voxel_m, bricks, cells, occupied) = stops_m, grid
-    stop_m = max(shape_m, plane_m)
+    """Add one to `passes` (2, v) of each voxel whose returns a ray meets and leaves before its end."""
+    grid_origin, voxel_m, bricks, cells, occupied = grid
     x_voxels, y_voxels, z_voxels = bricks.shape[0] * BRICK, bricks.shape[1] * BRICK, bricks.shape[2] * BRICK
     ox, oy, oz = origin[0], origin[1], origin[2]
     dx, dy, dz = direction[0], direction[1], direction[2]
@@ -92,8 +72,6 @@ def _count_ray(  # type: ignore[no-untyped-def]
     t, t_far = clip(oz, dz, grid_origin[2], grid_origin[2] + z_voxels * voxel_m, t, t_far)
     if t >= t_far:
         return
-    # A ray that ends where it begins has passed nothing, also where it begins on a border.
-    shape_m, plane_m = shape_m if shape_m > t else -1.0, plane_m if plane_m > t else -1.0
     x, x_step, x_next, x_length = first_voxel(ox, dx, t, grid_origin[0], voxel_m, x_voxels)
     y, y_step, y_next, y_length = first_voxel(oy, dy, t, grid_origin[1], voxel_m, y_voxels)
     z, z_step, z_next, z_length = first_voxel(oz, dz, t, grid_origin[2], voxel_m, z_voxels)
@@ -111,19 +89,12 @@ def _count_ray(  # type: ignore[no-untyped-def]
         if row >= 0:
             voxel = voxel_at(row, x, y, z, occupied, cells)
             if voxel >= 0:
-                apart = 0.0
-                if precisions.shape[0] > 0:
-                    _, apart = closest(
-                        precisions, voxel, means[voxel, 0] - ox, means[voxel, 1] - oy, means[voxel, 2] - oz,
-                        dx, dy, dz,
-                    )  # fmt: skip
-                if apart <= REACH and nearest <= shape_m:
+                _, off_m, apart, _ = meet(
+                    means, normals, precisions, voxel, ox, oy, oz, dx, dy, dz, t, nearest
+                )  # fmt: skip
+                if off_m <= SOFT_M:
                     passes[0, voxel] += 1
-                if nearest <= plane_m:
-                    off_m = off_plane(
-                        planes.mean_m, planes.normal, voxel, ox, oy, oz, dx, dy, dz, t, nearest
-                    )  # fmt: skip
-                    if off_m <= SOFT_M:
+                    if apart <= REACH:
                         passes[1, voxel] += 1
         t = nearest
         if x_next <= y_next and x_next <= z_next:

@@ -75,21 +75,11 @@ class ScanRays:
     is_static: np.ndarray
     """(n,) bool: not of a moving object."""
 
-    def surfels(self, voxel_m: float, *, shaped: bool) -> Surfels:
-        """Static surfels; `shaped` as in `build_surfels`."""
-        return build_surfels(
-            self.origin_m, self.direction, self.range_m, self.intensity,
-            voxel_m=voxel_m, is_surface=self.is_static, shaped=shaped,
-        )  # fmt: skip
-
-    def both_surfels(self, shaped_voxel_m: float) -> tuple[Surfels, Surfels]:
+    def surfels(self, voxel_m: float) -> tuple[Surfels, Surfels]:
         """Static surfels for a field, without shapes, and for `reproject`, with them."""
-        if shaped_voxel_m != FIELD_VOXEL_M:
-            plain = self.surfels(FIELD_VOXEL_M, shaped=False)
-            return plain, self.surfels(shaped_voxel_m, shaped=True)
         return build_both(
             self.origin_m, self.direction, self.range_m, self.intensity,
-            voxel_m=FIELD_VOXEL_M, is_surface=self.is_static,
+            voxel_m=voxel_m, is_surface=self.is_static,
         )  # fmt: skip
 
     def of(self, chosen: np.ndarray) -> "ScanRays":
@@ -146,7 +136,9 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         far_m=float(sweeps.table.max_range_m),
     )
     best_m = FIELD_VOXEL_M if choice is None else choice.best_m
-    static, rendered = rays.both_surfels(best_m)
+    static, rendered = rays.surfels(FIELD_VOXEL_M)
+    if best_m != FIELD_VOXEL_M:
+        _, rendered = rays.surfels(best_m)
     surfels, dynamic = static, None
     if not moving.is_static:
         surfels = build_surfels(
@@ -266,10 +258,10 @@ def choose_voxel_m(rays: ScanRays, *, unidentified: np.ndarray, far_m: float) ->
     asked = asked[np.unique(np.linspace(0, len(asked) - 1, most).astype(np.int64))]
     errors_m: dict[float, float] = {}
     others, rendered = rays.of(~is_validation), dict[float, Surfels]()
-    static, rendered[FIELD_VOXEL_M] = others.both_surfels(FIELD_VOXEL_M)
+    static, rendered[FIELD_VOXEL_M] = others.surfels(FIELD_VOXEL_M)
     for voxel_m in CANDIDATES_M:
         if voxel_m not in rendered:
-            rendered[voxel_m] = others.surfels(voxel_m, shaped=True)
+            _, rendered[voxel_m] = others.surfels(voxel_m)
         errors_m[voxel_m] = mean_range_error_m(
             rendered[voxel_m], rays.origin_m[asked], rays.direction[asked], rays.range_m[asked],
             far_m=far_m, worst_m=_WORST_M,

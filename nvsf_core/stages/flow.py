@@ -60,7 +60,7 @@ EVIDENCE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "hit priors, the own vehicle, and what moves and how.",
-    version="22",
+    version="23",
     run=_later("evidence", "run"),
     estimate_bytes=_later("sizes", "proof_bytes"),
 )

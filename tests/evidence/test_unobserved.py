@@ -45,7 +45,7 @@ def test_it_holds_no_return_shares_a_face_with_what_is_proven_and_no_ray_crossed
     beside = np.stack([proven.index.find(place + face) for face in faces])
     assert (beside >= 0).any(axis=0).all()
     index = unknown.index
-    (passes,) = count_passes(*rays, index, unknown.mean_m, unknown.precision)
+    passes, _ = count_passes(*rays, index, unknown.mean_m, unknown.normal, unknown.precision)
     assert passes.sum() == 0 and unknown.passes.sum() == 0 and unknown.hits.sum() == 0
 
 

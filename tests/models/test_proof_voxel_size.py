@@ -73,7 +73,7 @@ def test_moving_objects_do_not_vote_on_the_size() -> None:
 def test_the_surfels_of_the_chosen_size_see_what_others_leave() -> None:
     rays = wall_seen_from_one_place(8, 400, 0.0)
     rays.is_static[::2] = False
-    surfels = rays.surfels(0.3, shaped=True)
+    _, surfels = rays.surfels(0.3)
     assert surfels.index.voxel_m == 0.3
     assert int(surfels.hits.sum()) == int(rays.is_static.sum())
     assert surfels.mean_m[:, 0] == pytest.approx(10.0, abs=1e-3)
