@@ -38,7 +38,7 @@ def test_another_kernel_s_change_gives_all_of_them_another_folder(tmp_path: Path
     assert before == _where(tmp_path)
     assert Path(before).is_relative_to(tmp_path)
     walk = tmp_path / "nvsf_core" / "kernels" / "voxel_march.py"
-    walk.write_text(walk.read_text().replace("_FALL = 0.2", "_FALL = 0.3"))
+    walk.write_text(walk.read_text().replace("_FALL = ", "_FALL = 2.0 * "))
     assert _where(tmp_path) != before
 
 
