@@ -27,8 +27,6 @@ from nvsf_core.errors import DataError
 _MOST_POINT_BYTES = 256
 """Most bytes of a point in a file of any kind."""
 _TIME_NAMES = ("time", "t", "timestamp", "time_offset")
-_ORGANISED_KINDS = (".ply", ".pcd")
-"""Files that may have a place for each ray; one without a return is NaN there."""
 _BESIDE = {"ring": "<u2", "time": "<f4"}
 
 
@@ -180,8 +178,7 @@ class PlainDrive(AbstractPosedDrive):
         return Recorded(path, data, beside)
 
     def _decoded(self, found: Recorded) -> Scan:
-        kind = found.path.suffix.lower()
-        read = {".bin": read_bin, ".ply": read_ply, ".pcd": read_pcd}[kind]
+        read = {".bin": read_bin, ".ply": read_ply, ".pcd": read_pcd}[found.path.suffix.lower()]
         columns = dict(read(found.path, found.data))
         count = len(columns.get("x", ()))
         for name, data in found.beside:
@@ -193,7 +190,8 @@ class PlainDrive(AbstractPosedDrive):
                     f"{len(data)} bytes in the file {name}/ beside it"
                 )
             columns[name] = values
-        if kind in _ORGANISED_KINDS and {"x", "y", "z"} <= columns.keys():
+        if {"x", "y", "z"} <= columns.keys():
+            # A cloud with a place for each ray has NaN where nothing returned.
             is_return = np.isfinite([columns[name] for name in "xyz"]).all(axis=0)
             columns = {name: values[is_return] for name, values in columns.items()}
         _require_intensities(found.path, columns, self._description.intensity_max)

@@ -155,19 +155,20 @@ def test_times_that_are_no_scans_are_refused_by_file_and_column(tmp_path, kind, 
         drive_of(scene_at(tmp_path, "plain")).read_scan(1)
 
 
-@pytest.mark.parametrize("kind", ["pcd", "ply"])
+@pytest.mark.parametrize("kind", ["pcd", "ply", "bin"])
 def test_rays_without_a_return_in_an_organised_cloud_are_left_out(tmp_path, kind):
     layout = _write(tmp_path, 0.1, 0.1)
     recorded = drive_of(scene_at(tmp_path, "plain")).read_scan(1)
     rows = np.fromfile(layout.scan_path(1), "<f4").reshape(-1, 4)
     rows[::3, :3] = np.nan
-    if kind == "pcd":
-        head = "FIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nWIDTH 100\nHEIGHT 6\nDATA binary\n"
-    else:
-        names = "".join(f"property float {name}\n" for name in ("x", "y", "z", "intensity"))
-        head = f"ply\nformat binary_little_endian 1.0\nelement vertex {POINTS}\n{names}end_header\n"
-    layout.scan_path(1, kind).write_bytes(head.encode() + rows.tobytes())
+    names = "".join(f"property float {name}\n" for name in ("x", "y", "z", "intensity"))
+    head = {
+        "pcd": "FIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nWIDTH 100\nHEIGHT 6\nDATA binary\n",
+        "ply": f"ply\nformat binary_little_endian 1.0\nelement vertex {POINTS}\n{names}end_header\n",
+        "bin": "",
+    }[kind]
     layout.scan_path(1).unlink()
+    layout.scan_path(1, kind).write_bytes(head.encode() + rows.tobytes())
     scan = drive_of(scene_at(tmp_path, "plain")).read_scan(1)
     kept = np.arange(POINTS) % 3 > 0
     assert np.array_equal(scan.points, recorded.points[kept]) and scan.n_absurd == 0
