@@ -17,7 +17,9 @@ from nvsf_core.stages import SceneRun
 from nvsf_core.stages.runner.trained import newest_field
 
 SceneState = dict[str, Any]
-"""Passed from stage to stage: `scene`, `failed` ("" or why), `stages` (name, seconds, skipped), `exports`."""
+"""Passed from stage to stage: `scene`, `failed` ("" or why), `stages` (name, seconds, skipped), `exports`,
+`doubts` (failed checks in words)."""
+_WIDTH, _MOST_DOUBTS = 79, 4
 
 
 def closing_words(
@@ -27,7 +29,7 @@ def closing_words(
     absent: Sequence[str],
     report: Path,
 ) -> list[str]:
-    """Lines about what each scene gained, and where its files lie.
+    """Lines about what each scene gained, which checks doubt it, and where its files lie.
 
     Args:
         rows: Of the tables of metrics of all scenes.
@@ -43,11 +45,20 @@ def closing_words(
         seconds = sum(one["seconds"] for one in state["stages"] if not one["skipped"])
         done = "up to date" if not seconds else f"{seconds:.0f} s"
         lines += [result or f"{scene}: nothing was measured", f"  {len(state['stages'])} stages, {done}"]
+        lines += _doubts(state["doubts"])
         lines += [f"  scans  {_short(Path(folder))}" for folder in state["exports"]]
     lines += [f"FAILED  {scene}: {reason}" for scene, reason in failures.items()]
     if absent:
         lines.append(f"no data: {', '.join(absent)}")
     return [*lines, f"report  {_short(report)}"]
+
+
+def _doubts(doubts: Sequence[str]) -> list[str]:
+    """A line each of the first failed checks, cut to the terminal's width: the report has the whole."""
+    lines = [f"  doubt  {one}" for one in doubts[:_MOST_DOUBTS]]
+    lines = [line if len(line) <= _WIDTH else f"{line[: _WIDTH - 3]}..." for line in lines]
+    more = len(doubts) - _MOST_DOUBTS
+    return [*lines, f"  and {more} more: the report says what they found"] if more > 0 else lines
 
 
 def next_view(run: SceneRun) -> list[str]:

@@ -82,7 +82,7 @@ def choose_scenes(context: dg.OpExecutionContext, workspace: Workspace, config: 
         keys.add(key)
         if not failure:
             there.append(name)
-        state: SceneState = {"scene": name, "failed": failure, "stages": [], "exports": []}
+        state: SceneState = {"scene": name, "failed": failure, "stages": [], "exports": [], "doubts": []}
         yield dg.DynamicOutput(state, mapping_key=key, output_name="scene")
     register(context.instance, there)
     yield dg.Output(absent, output_name="absent")
@@ -134,7 +134,9 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
             return _failed(context, state, stage, error, f"{type(error).__name__}: {error}")
         done = {"stage": stage.name, "seconds": outcome.seconds, "skipped": outcome.skipped}
         exports = [*state["exports"], *map(str, exported_folders(outcome).values())]
-        return {**state, "stages": [*state["stages"], done], "exports": exports}
+        found = [f"{one.name.replace('_', ' ')}: {one.detail}" for one in outcome.checks if not one.passed]
+        doubts = [*state["doubts"], *found]
+        return {**state, "stages": [*state["stages"], done], "exports": exports, "doubts": doubts}
 
     return run
 

@@ -10,7 +10,7 @@ from nvsf_core.stages import find_scene, plan_run
 from nvsf_core.stages.runner.record import RECORD_NAME
 from nvsf_core.stores.documents import write_document
 from pipelines.cli import _chosen, main
-from pipelines.closing_words import next_ui, next_view
+from pipelines.closing_words import closing_words, next_ui, next_view
 
 RECORD = {"fingerprint": "f", "metadata": {}, "previews": {}, "checks": [], "seconds": 1.0}
 
@@ -46,6 +46,17 @@ def test_the_next_view_names_recipe_and_seed_where_the_newest_field_has_others(h
     for seed, ends in ((3, "tiny 'shift_m = [0, 1, 0]'"), (4, "--recipe smoke --seed 4")):
         words = next_view(plan_run(find_scene("tiny"), home, recipe="smoke", seed=seed))
         assert words[-1].endswith(ends), words
+
+
+def test_failed_checks_are_said_at_the_end_in_a_line_each_of_the_terminal() -> None:
+    state = {"scene": "tiny", "failed": "", "stages": [], "exports": []}
+    sound = closing_words([], [{**state, "doubts": []}], {}, [], Path("r"))
+    assert not any("doubt" in line for line in sound)
+    doubts = [f"all scans are usable: {k} scans left out, {'x' * 99}" for k in range(6)]
+    lines = closing_words([], [{**state, "doubts": doubts}], {}, [], Path("r"))
+    assert lines[3].startswith("  doubt  all scans are usable: 0 scans left out, xxx")
+    assert lines[7] == "  and 2 more: the report says what they found"
+    assert max(map(len, lines)) <= 80
 
 
 @pytest.mark.cli
