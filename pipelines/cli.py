@@ -181,7 +181,8 @@ def _checked(scene: str | None, asked: ViewEntry | None) -> Iterator[str]:
     for entry in there:
         chosen = entry if asked is None else replace(entry, views=(asked,))
         require_truth(chosen)
-        yield from (f"{entry.name}, {line}" for line in described(chosen))
+        lines = described(chosen) or ["no view is asked for but `test`: add a [[view]], or give KEYS"]
+        yield from (f"{entry.name}, {line}" for line in lines)
     if absent and scene:
         raise DataError(
             f"{scene}: not checked, no data at {absent[0].root}; correct the scene's root, or set "

@@ -51,6 +51,14 @@ def test_views_are_checked_at_once(ask):
         assert wrong.exit_code == 1 and words in wrong.output, wrong.output
 
 
+def test_a_check_says_where_no_view_is_asked_for(ask, tiny_catalogue, tmp_path, monkeypatch):
+    text = tiny_catalogue.read_text().replace('"drive"', f'"{tiny_catalogue.parent / "drive"}"')
+    (tmp_path / "none.toml").write_text(text.split("[[view]]")[0].split("[[scene.view]]")[0])
+    monkeypatch.setenv("NVSF_SCENES", str(tmp_path / "none.toml"))
+    said = ask("view", "tiny", "--check")
+    assert said.exit_code == 0 and said.output.startswith("tiny, no view is asked for"), said.output
+
+
 def test_a_check_names_true_images_and_drives_that_are_absent(ask, tiny_catalogue, tmp_path, monkeypatch):
     assert "\nnot checked, no data here: absent" in ask("view", "--check").output
     said = ask("view", "absent", "--check")
