@@ -24,6 +24,8 @@ class _Image:
     deviation: float
     """Standard deviation of the grey values, levels of 255."""
     blank_below: float
+    recorded_deviation: float
+    """That of its camera's plainest training image."""
     has_depth: bool
     apart: float
     apart_limit: float
@@ -34,9 +36,14 @@ class _Image:
         return self.deviation < self.blank_below or not self.has_depth
 
     def in_words(self) -> str:
-        """Its place, its deviation and limit, and whether depth is missing."""
+        """Its place, its deviation and limit, and whether depth is missing, or its camera saw little, too."""
         depth = "" if self.has_depth else ", no pixel has a finite depth"
-        return f"{self.place}: {self.deviation:.1f} levels, blank below {self.blank_below:.1f}{depth}"
+        dark = (
+            f", but the recording is as dark or plain, from {self.recorded_deviation:.1f} levels"
+            if self.recorded_deviation < self.blank_below
+            else ""
+        )
+        return f"{self.place}: {self.deviation:.1f} levels, blank below {self.blank_below:.1f}{dark}{depth}"
 
 
 def check_images(task: Task) -> list[Check]:
@@ -97,6 +104,7 @@ def _of_view(path: Path, camera: str, norms: ImageNorms) -> Iterator[_Image]:
             place=f"view {path.parent.name}, {camera}, frame {frame}",
             deviation=norms.deviation_of(image),
             blank_below=blank_below,
+            recorded_deviation=float(norms.deviation.min()),
             has_depth=range_m is None or bool(np.isfinite(range_m[i][norms.seen]).any()),
             apart=norms.greys_apart(image),
             apart_limit=apart_limit,

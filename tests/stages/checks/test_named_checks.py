@@ -15,6 +15,7 @@ from assets.workspace import Workspace
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages import find_scene, plan_run, run_named_stage
+from nvsf_core.stages.checks.images import check_images
 from nvsf_core.stages.checks.views import check_views
 from nvsf_core.stages.flow import NOVEL_VIEWS, SCENE_METRICS
 from nvsf_core.stages.runner.record import read_record
@@ -240,6 +241,19 @@ def test_a_sound_view_passes_all_and_the_record_keeps_value_and_limit(store):
     record = read_record(store.path("novel_views/smoke/0"))
     assert {check["name"] for check in record["checks"]} == set(shown)
     assert all(check["value"] <= check["limit"] for check in record["checks"])
+
+
+def test_images_of_a_dark_recording_are_said_to_be_as_dark_as_it(store, tmp_path):
+    recorded = store.require("undistorted") / "images.zarr"
+    name = f"{CAMERA}_rgb"
+    dark = read_arrays(recorded, name)[name] // 32
+    _change(recorded, **{name: dark})
+    _change(_view(tmp_path, _scan(np.random.default_rng(9))), **{name: dark[:1]})
+    run = _run_plan(store)
+    task = Task(scene=run.scene, store=store, config=run.config, folder=tmp_path, progress=lambda line: None)
+    (check,) = [one for one in check_images(task) if one.name == "rendered_images_are_not_blank"]
+    assert "1 of 1 images are blank" in check.detail
+    assert "the recording is as dark or plain, from 1." in check.detail
 
 
 def _run_plan(store):
