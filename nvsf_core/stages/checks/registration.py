@@ -1,6 +1,7 @@
 """Checks of scans against poses: registration of neighbours, scans at their neighbours' poses, and z."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -19,6 +20,7 @@ from nvsf_core.stages.checks.declared import (
     SWEEP_CHECKS,
     UPRIGHT_CHECK,
 )
+from nvsf_core.stages.checks.pose_readings import other_reading
 from nvsf_core.stages.inputs import scene_frame
 from nvsf_core.stages.runner.stage import Check, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs
@@ -56,9 +58,27 @@ def check_registration(task: Task) -> list[Check]:
     arrays = read_arrays(path, *names)
     scene_to_world = scene_frame(read_attrs(path))
     poses = poses_in(scene_to_world, arrays["lidar_to_world"])
-    return [
-        registration_check(arrays), order_check(arrays, poses), upright_check(arrays, poses, scene_to_world)
-    ]  # fmt: skip
+    agree = registration_check(arrays)
+    if not agree.passed and (words := _read_otherwise(arrays, poses)):
+        agree = replace(agree, detail=f"scans fit their poses {words}; {agree.detail}")
+    return [agree, order_check(arrays, poses), upright_check(arrays, poses, scene_to_world)]
+
+
+def _read_otherwise(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) -> str:
+    """See `other_reading`, of scans placed by their poses (n, 4, 4) in the scene."""
+    clouds = [_evenly(_thinned(arrays, k)) for k in range(len(arrays["frame"]))]
+    from_scene = np.linalg.inv(lidar_to_scene)
+    points_m = [one @ pose[:3, :3].T + pose[:3, 3] for one, pose in zip(clouds, from_scene, strict=True)]
+
+    def apart_m(placed_m: Sequence[np.ndarray], poses: np.ndarray) -> float:
+        return float(np.nanmean(scan_misfits(placed_m, poses)[0]))
+
+    return other_reading(points_m, arrays["lidar_to_world"], apart_m)
+
+
+def _evenly(cloud_m: np.ndarray) -> np.ndarray:
+    """At most `_MOST_TRIED` of a cloud's points (N, 3)."""
+    return cloud_m[np.linspace(0, len(cloud_m) - 1, min(len(cloud_m), _MOST_TRIED)).astype(np.int64)]
 
 
 def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) -> Check:
@@ -68,11 +88,7 @@ def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) ->
         arrays: Arrays of `sweeps/returns.zarr`.
         lidar_to_scene: (n, 4, 4) float64 poses of its scans, scene-local, metres.
     """
-    clouds = [_thinned(arrays, k) for k in range(len(arrays["frame"]))]
-    evenly = [
-        cloud[np.linspace(0, len(cloud) - 1, min(len(cloud), _MOST_TRIED)).astype(np.int64)]
-        for cloud in clouds
-    ]
+    evenly = [_evenly(_thinned(arrays, k)) for k in range(len(arrays["frame"]))]
     own_m, other_m, across = scan_misfits(evenly, lidar_to_scene)
     known, is_free = np.isfinite(own_m), across < _LEAST_ACROSS
     if np.count_nonzero(known) < _FEWEST_SCANS:
