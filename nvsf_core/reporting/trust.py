@@ -64,17 +64,19 @@ def trust_section(run: FieldRun) -> str:
 
 
 def _line(view: str, said: Sequence[Verdict]) -> list[str]:
-    """One line on a view: the worst verdict on scans and on pictures, and the reason of the worst of all."""
+    """One line on a view: the worst verdict on scans and on pictures, and the reason of each that doubts."""
     scans = [one for one in said if one.sensor == LIDAR]
-    worst = max(said, key=_badness)
-    if len(said) == 1:
-        why = worst.why
-    elif worst.trust is Trust.AS_RECORDED:
+    others = [one for one in said if one not in scans]
+    worst = {
+        of: max(mine, key=_badness) for of, mine in (("Scans", scans), ("Pictures", others)) if mine
+    }  # fmt: skip
+    doubted = {of: one for of, one in worst.items() if one.trust is not Trust.AS_RECORDED}
+    if len(said) == 1 or (len(worst) == 1 and not doubted):
+        why = next(iter(worst.values())).why
+    elif not doubted:
         why = "Scans and pictures fit the recorded ones as well as these fit each other."
     else:
-        of = "Scans" if worst.sensor == LIDAR else "Pictures"
-        why = f"{of}: {worst.why[0].lower()}{worst.why[1:]}"
-    others = [one for one in said if one not in scans]
+        why = " ".join(f"{of}: {one.why[0].lower()}{one.why[1:]}" for of, one in doubted.items())
     return [_name(view), _words(scans), _words(others), escape(why)]
 
 
