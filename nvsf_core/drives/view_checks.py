@@ -22,6 +22,8 @@ _SLACK_S = 1e-6
 
 _EXTRAS = {"laz": ("laspy", "lazrs"), "mcap": ("rosbags",), "rosbag2": ("rosbags",)}
 """Formats that packages write which may not be installed."""
+_MOST_TILT_DEG = 60.0
+"""Steeper is no road: a LiDAR that lies on its side or head is named."""
 
 
 def path_span_s(view: ViewEntry) -> tuple[float, float] | None:
@@ -263,7 +265,18 @@ def described(scene: SceneEntry) -> list[str]:
         still = "" if view.frozen_at_s is None else f", all at {view.frozen_at_s:g} s"
         path = "the recorded path" if view.is_on_recorded_path else "a path of its own"
         lines.append(
-            f"{view.name}: {len(moments)} instants, {moments[0]:g} to {moments[-1]:g} s on {path}{still}; "
-            f"LiDAR {view.sensor_name or 'as recorded'}; exports {', '.join(view.exports)}"
+            f"{view.name}: {len(moments)} instants, {moments[0]:g} to {moments[-1]:g} s on {path}{still}"
+            f"{_tilted(view)}; LiDAR {view.sensor_name or 'as recorded'}; exports {', '.join(view.exports)}"
         )
     return lines
+
+
+def _tilted(view: ViewEntry) -> str:
+    """How far a file's poses turn the LiDAR over, as quaternions in another order do; empty of the usual."""
+    if view.pose_file is None:
+        return ""
+    up = np.array(view.pose_file.poses).reshape(-1, 3, 4)[:, 2, 2]
+    tilt_deg = float(np.degrees(np.arccos(np.clip(up.min(), -1.0, 1.0))))
+    if tilt_deg <= _MOST_TILT_DEG:
+        return ""
+    return f", where the LiDAR is up to {tilt_deg:.0f} degrees off upright (quaternions are x, y, z, w)"

@@ -51,6 +51,15 @@ def test_views_are_checked_at_once(ask):
         assert wrong.exit_code == 1 and words in wrong.output, wrong.output
 
 
+def test_a_check_names_a_path_on_which_the_lidar_stands_on_its_head(ask, tmp_path):
+    for order, turned in (("0 0 0 1", False), ("1 0 0 0", True)):
+        path = tmp_path / "path.txt"
+        path.write_text(f"0.1 0 0 0 {order}\n0.2 1 0 0 {order}\n")
+        said = ask("view", "tiny", f'pose_file = "{path}"', "--check")
+        assert said.exit_code == 0 and said.output.startswith("tiny, view: "), said.output
+        assert ("the LiDAR is up to 180 degrees off upright" in said.output) is turned
+
+
 def test_a_check_says_where_no_view_is_asked_for(ask, tiny_catalogue, tmp_path, monkeypatch):
     text = tiny_catalogue.read_text().replace('"drive"', f'"{tiny_catalogue.parent / "drive"}"')
     (tmp_path / "none.toml").write_text(text.split("[[view]]")[0].split("[[scene.view]]")[0])
