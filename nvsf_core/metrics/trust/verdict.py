@@ -189,10 +189,10 @@ def _why(
     if scored[0] < scored[1]:
         reasons.append(f"{scored[1] - scored[0]} of its {scored[1]} {kind} could not be compared")
     if values.get(GUESSED, 0.0) > LITTLE_GUESSED:
-        share = f"{100.0 * values[GUESSED]:.0f} % of its {parts} look at what nobody recorded"
+        share = f"{_percent(values[GUESSED])} of its {parts} look at what nobody recorded"
         reasons.append(f"{share} (marked as guessed, and can be left out)")
     if values.get(MISSING.name, 0.0) > LITTLE_MISSING:
-        reasons.append(f"{MISSING.reason} ({100.0 * values[MISSING.name]:.0f} % of these are missing)")
+        reasons.append(f"{MISSING.reason} ({_percent(values[MISSING.name])} of these are missing)")
     if strange:
         reasons.append(max(strange, key=lambda cue: values[cue.name] / _strange_beyond(cue, bands)).reason)
     else:
@@ -202,6 +202,11 @@ def _why(
             reasons.append(worst.reason)
     sentence = "; ".join(reasons) or f"taken together it is farther from the recorded {kind} than these are"
     return f"{sentence[0].upper()}{sentence[1:]}."
+
+
+def _percent(share: float) -> str:
+    """A share in words, with a digit more where it is small: 1.4 % is beyond a limit of 1 %."""
+    return f"{100.0 * share:.{1 if share < 0.1 else 0}f} %"
 
 
 def _safe(value: float) -> float:

@@ -82,6 +82,8 @@ def test_what_is_guessed_makes_it_worse_and_is_said_in_percent() -> None:
     said = [_verdict({}, guessed).trust for guessed in (0.005, 0.02, 0.3)]
     assert said == [Trust.AS_RECORDED, Trust.WITH_CARE, Trust.DO_NOT_USE]
     assert "30 % of its rays look at what nobody recorded" in _verdict({}, 0.3).why
+    # As "1 %" it would be no more than the limit.
+    assert "1.4 % of its rays look at what nobody recorded" in _verdict({}, 0.014).why
 
 
 def test_missing_returns_make_it_worse_whatever_the_score_and_are_said_in_percent() -> None:
