@@ -63,7 +63,9 @@ def test_scans_and_pictures_that_are_doubted_both_have_their_reasons() -> None:
     rows = _trust("up_1m", "lidar", 0.13, 0.02) + _trust("up_1m", "image_00", 0.13, 0.03)
     rows += _trust("low", "lidar", 0.13, 0.02) + _trust("low", "image_00", 0.09, 0.0)
     lines = _lines(_section(rows))
-    assert re.match(r"with care \| with care \| Scans: 2.0 % of its rays .*Pictures: 3.0 % of", lines["up_1m"])
+    assert re.match(
+        r"with care \| with care \| Scans: 2.0 % of its rays .*Pictures: 3.0 % of", lines["up_1m"]
+    )
     assert "Scans: 2.0 % of its rays" in lines["low"] and "Pictures" not in lines["low"]
 
 
