@@ -102,11 +102,13 @@ def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) ->
     if len(wrong) == 0 and is_free[known].all():
         return ORDER_CHECK.not_run(free)
     named = _first([str(arrays["frame"][k]) for k in wrong.tolist()])
+    is_all = len(wrong) == np.count_nonzero(known)
+    cause = "are all poses or their times wrong" if is_all else "were files swapped or copied"
     return Check(
         name=ORDER_CHECK.name,
         passed=len(wrong) == 0,
         detail=f"{len(wrong)} of {len(own_m)} scans lie better at another frame's pose, or at none"
-        + (f": frames {named}; were files swapped or copied?" if len(wrong) else "")
+        + (f": frames {named}; {cause}?" if len(wrong) else "")
         + (f"; {free}" if is_free.any() else ""),
         value=float(misfit.max()),
         limit=MOST_MISFIT,

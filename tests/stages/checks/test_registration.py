@@ -98,6 +98,12 @@ def test_swapped_scans_are_found_and_named():
     assert "nothing can be said" not in check.detail
 
 
+def test_where_all_scans_lie_wrong_poses_are_asked_about_and_not_files():
+    check = order_check(*hall(12.0, [5, 4, 3, 2, 1, 0]))
+    assert not check.passed and check.detail.startswith("6 of 6 scans lie better")
+    assert "are all poses or their times wrong?" in check.detail and "swapped" not in check.detail
+
+
 def test_scans_of_a_tunnel_are_not_blamed_for_rings_that_travel_with_the_sensor():
     check = order_check(*hall(np.inf, [0, 1, 2, 3, 4, 5]))
     assert check.passed
