@@ -75,7 +75,7 @@ def _taken(home: Path, scene: str) -> Row:
             for record, folder in zip(records, folders, strict=True)
             if folder.relative_to(root).parts[0] == "field"
         ),
-        "memory_mb": max(record.get("resources", {}).get("peak_memory_mb", 0.0) for record in records),
+        "memory_mb": max(record["resources"].get("peak_memory_mb", 0.0) for record in records),
         "disk_mb": sum(path.stat().st_size for path in files) / 1e6,
         "dataset_mb": sum(path.stat().st_size for path in data) / 1e6,
     }

@@ -191,8 +191,7 @@ def _metric_tables(root: Path) -> list[Path]:
 def _measured_s(table: Path, records: Sequence[StageRecord]) -> float:
     """When a table of metrics was made, seconds since the epoch; without a record its file's time counts."""
     record = record_of(records, "scene_metrics", *table.parts[-3:-1])
-    known = None if record is None else record.made_s
-    return table.stat().st_mtime if known is None else known
+    return table.stat().st_mtime if record is None else record.made_s
 
 
 def _pictures(root: Path, recipe: str, seed: str) -> list[ViewPictures]:

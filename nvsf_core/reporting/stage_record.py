@@ -1,7 +1,7 @@
 """What a stage said of its own run, as the report reads it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 
@@ -15,12 +15,12 @@ class StageRecord:
     metadata: dict[str, Any]
     checks: list[dict[str, Any]]
     """Each with `name`, `passed`, `detail` and, if it has them, `value`, `limit`, `unit`."""
-    facts: Mapping[str, Any] = field(default_factory=dict)
-    """All that decided its output, by `stages.runner.facts.facts_of`; empty if unknown."""
-    made_s: float | None = None
-    """When its output was made, seconds since the epoch; None if unknown."""
-    content: str = ""
-    """Digest of its output's files, by which `facts` of its readers name it; empty if unknown."""
+    facts: Mapping[str, Any]
+    """All that decided its output, by `stages.runner.facts.facts_of`."""
+    made_s: float
+    """When its output was made, seconds since the epoch."""
+    content: str
+    """Digest of its output's files, by which `facts` of its readers name it."""
 
     @property
     def inputs(self) -> Mapping[str, str]:

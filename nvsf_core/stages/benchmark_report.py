@@ -134,11 +134,9 @@ def stage_records(root: Path) -> list[StageRecord]:
     for name in sorted(found, key=_flow_rank):
         record = read_record(found[name][1])
         if record is not None:
-            shown = {key: record[key] for key in ("seconds", "metadata", "checks")}
+            shown = {key: record[key] for key in ("seconds", "metadata", "checks", "facts", "made_s")}
             shown["metadata"] = _without_removed(root, name, record["metadata"])
-            facts, content = record.get("facts", {}), content_of(record)
-            shown["made_s"] = record.get("made_s")
-            records.append(StageRecord(stage=name, facts=facts, content=content, **shown))
+            records.append(StageRecord(stage=name, content=content_of(record), **shown))
     return records
 
 

@@ -23,8 +23,6 @@ _TOUCHED_EVERY_S = 1800.0
 """How often a live writer touches its folder: far more often than it could be forgotten."""
 _MARK = re.compile(r"([0-9a-f]{8})-(\d{1,10})-(\d{1,20})-[0-9a-f]{8}$")
 """Machine, process id, start of the process in ticks, random digits."""
-_EARLIER = re.compile(r"\d{1,10}-[0-9a-f]{8}$")
-"""The mark of NVSF 0.1: process id, random digits."""
 _DEAD_STATES = ("Z", "X")
 
 
@@ -70,7 +68,7 @@ def leftovers(folder: Path) -> Iterator[Path]:
 
 def mark_of(name: str) -> str | None:
     """The writer's mark that a name ends with; None if it has none."""
-    found = _MARK.search(name) or _EARLIER.search(name)
+    found = _MARK.search(name)
     return None if found is None else found[0]
 
 

@@ -11,8 +11,7 @@ from nvsf_core.stages.runner.record import RECORD_NAME
 from nvsf_core.stores.documents import write_document
 from pipelines.cli import _chosen, main
 from pipelines.closing_words import closing_words, next_ui, next_view
-
-RECORD = {"fingerprint": "f", "metadata": {}, "previews": {}, "checks": [], "seconds": 1.0}
+from tests.records import record_of_output
 
 
 @pytest.fixture
@@ -26,7 +25,7 @@ def home(tiny_catalogue: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def _train(home: Path, scene: str, recipe: str, seed: int, made_s: float) -> None:
     folder = home / scene / "field" / recipe / str(seed)
     folder.mkdir(parents=True)
-    write_document(folder / RECORD_NAME, RECORD | {"made_s": made_s})
+    write_document(folder / RECORD_NAME, record_of_output(made_s=made_s))
 
 
 def test_a_view_is_of_the_newest_field_unless_another_training_is_asked_for(home: Path) -> None:

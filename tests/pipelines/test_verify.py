@@ -6,6 +6,7 @@ from click.testing import CliRunner
 from nvsf_core.stages.runner.record import RECORD_NAME
 from nvsf_core.stores.documents import write_document
 from pipelines.cli import main
+from tests.records import record_of_output
 
 
 @pytest.fixture
@@ -26,8 +27,7 @@ def test_scenes_without_a_field_or_a_catalogue_are_named(ask, tmp_path):
     (tmp_path / "home/tiny/frames").mkdir(parents=True)
     field = tmp_path / "home/elsewhere/field/lean/0"
     field.mkdir(parents=True)
-    record = {"fingerprint": "f", "metadata": {}, "previews": {}, "checks": [], "seconds": 1.0}
-    write_document(field / RECORD_NAME, record)
+    write_document(field / RECORD_NAME, record_of_output())
     said = ask("verify")
     assert said.exit_code == 0
     assert [line.partition(", and")[0].partition(" under")[0] for line in said.output.splitlines()] == [

@@ -12,6 +12,7 @@ from nvsf_core.stores.documents import write_document
 from pipelines.definitions import defs
 from pipelines.schedules import weekly_regeneration
 from pipelines.weekly_report import report_follows
+from tests.records import record_of_output
 
 
 @pytest.fixture
@@ -57,10 +58,9 @@ def test_a_regeneration_whose_process_dies_is_launched_again(
 ) -> None:
     monkeypatch.setenv("NVSF_SCENES", str(tiny_catalogue))
     monkeypatch.setenv("NVSF_HOME", str(tmp_path))
-    record = {"fingerprint": "a", "metadata": {}, "previews": {}, "checks": [], "seconds": 1.0}
     field = tmp_path / "tiny/field/smoke/0"
     field.mkdir(parents=True)
-    write_document(field / "stage.json", record)
+    write_document(field / "stage.json", record_of_output())
     sunday = datetime.datetime(2026, 11, 22, 3, tzinfo=datetime.UTC)
     with dg.instance_for_test() as made:
         context = dg.build_schedule_context(

@@ -9,8 +9,10 @@ import numpy as np
 
 from nvsf_core.metrics.table import COLUMNS, UNITS
 from nvsf_core.stores.arrays import write_arrays
+from nvsf_core.stores.checksums import json_digest
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows, write_rows, write_table
+from tests.records import record_of_output
 
 HEIGHT, WIDTH = 66, 1030
 _LIDAR = (
@@ -72,8 +74,8 @@ def _record(
     checks = [{"name": "some_check", "passed": True, "detail": "fine", "blocking": True}]
     if failed:
         checks.append({"name": failed[0], "passed": False, "detail": failed[1], "blocking": False})
-    facts = {"fingerprint": "f", "version": "1", "seconds": seconds, "metadata": metadata}
-    (folder / "stage.json").write_text(json.dumps({**facts, "checks": checks, "previews": {}}))
+    record = record_of_output(seconds=seconds, metadata=metadata, checks=checks)
+    (folder / "stage.json").write_text(json.dumps(record))
 
 
 def _street_range_m(noise_m: float) -> np.ndarray:
@@ -169,11 +171,12 @@ def add_view(store: SceneStore, place: str, view: str, shift_m: float) -> None:
     own = [row | {"split": view, "value": row["value"] - shift_m} for row in images]
     write_rows(metrics / "metrics.parquet", [*rows, *own], COLUMNS)
     asked = [{"name": view, "shift_m": [0.0, shift_m, 0.0], "frames": [7]}]
-    _add_facts(views, {"views": asked}, place + str(asked))
-    inputs = {"frames": "f", "novel_views": place + str(asked)}
-    _add_facts(metrics, {"inputs": inputs, "truth": "none"}, "")
+    files = {".": {"model": place + str(asked)}}
+    _add_facts(views, {"views": asked}, files)
+    inputs = {"frames": "f", "novel_views": json_digest(files)}
+    _add_facts(metrics, {"inputs": inputs, "truth": "none"}, {})
 
 
-def _add_facts(folder: Path, facts: dict[str, Any], fingerprint: str) -> None:
+def _add_facts(folder: Path, facts: dict[str, Any], files: dict[str, dict[str, str]]) -> None:
     path = folder / "stage.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"facts": facts, "fingerprint": fingerprint}))
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"facts": facts, "files": files}))

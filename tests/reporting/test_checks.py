@@ -14,7 +14,9 @@ def _check(name, passed, detail, value=None, limit=None, unit=""):
 
 
 def _record(stage, *checks):
-    return StageRecord(stage=stage, seconds=1.0, metadata={}, checks=list(checks))
+    return StageRecord(
+        stage=stage, seconds=1.0, metadata={}, checks=list(checks), facts={}, made_s=0.0, content=""
+    )
 
 
 def _scene(*records):

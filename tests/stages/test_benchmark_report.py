@@ -27,6 +27,8 @@ from nvsf_core.stores.tables import read_rows, write_rows
 sys.path.insert(0, str(Path(__file__).parents[1] / "reporting"))
 from street_store import add_view, write_street  # tests are no package
 
+from tests.records import record_of_output
+
 
 class _Outline(HTMLParser):
     """Text, and tags that are open without end."""
@@ -192,7 +194,7 @@ def test_a_run_at_other_held_out_frames_is_named_and_compared_with_nothing(tmp_p
     older = store.path("scene_metrics/quick/0")
     rows = [row | {"frame": row["frame"] + 1} for row in read_rows(older / "metrics.parquet")]
     write_rows(older / "metrics.parquet", rows, COLUMNS)
-    os.utime(older / "metrics.parquet", (1e9, 1e9))
+    _say(older, made_s=1e9)
     _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
     assert "Left out of the tables: quick , seed 0 (2001-09-09); measured at other held-out frames" in text
     assert "smoke is best in 9 of 9" in text and "quick in" not in text
@@ -227,7 +229,7 @@ def test_a_view_that_was_made_anew_since_it_was_measured_is_not_known(tmp_path: 
     for recipe in ("quick", "smoke"):
         add_view(write_street(tmp_path, "street", recipe=recipe), f"{recipe}/0", "shift_1m", 1.0)
     older = tmp_path / "street/novel_views/quick/0/stage.json"
-    older.write_text(json.dumps(json.loads(older.read_text()) | {"fingerprint": "of other views"}))
+    older.write_text(json.dumps(json.loads(older.read_text()) | {"files": {".": {"model": "another"}}}))
     _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
     assert "Views left out of the tables: shift_1m of quick" in text
 
@@ -251,8 +253,8 @@ def _say(folder: Path, **facts: object) -> None:
     """Add facts to a stage's record; one that is not there is made."""
     path = folder / "stage.json"
     folder.mkdir(parents=True, exist_ok=True)
-    fresh = {"fingerprint": "f", "metadata": {}, "previews": {}, "seconds": 1.0}
-    path.write_text(json.dumps((json.loads(path.read_text()) if path.is_file() else fresh) | facts))
+    found = json.loads(path.read_text()) if path.is_file() else record_of_output()
+    path.write_text(json.dumps(found | facts))
 
 
 def test_a_doubt_of_the_newest_run_s_data_set_is_no_older_run_s(tmp_path: Path) -> None:

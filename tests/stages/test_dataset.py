@@ -24,6 +24,7 @@ from nvsf_core.stores.file_hashes import FileHashes
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows, write_rows, write_table
 from tests.clouds.ply_reader import read_ply
+from tests.records import record_of_output
 
 _LASERS, _FIRINGS = 8, 64
 
@@ -155,8 +156,8 @@ def test_what_is_measured_later_comes_into_manifest_and_card_and_no_other_file(
     tmp_path: Path,
 ) -> None:
     task = _task(tmp_path)
-    record = {"fingerprint": "f", "metadata": {}, "previews": {}, "checks": [], "seconds": 1.0}
-    (task.store.path("frames") / "stage.json").write_text(json.dumps(record))  # known: it counts as whole
+    # Known: it counts as whole.
+    (task.store.path("frames") / "stage.json").write_text(json.dumps(record_of_output()))
     _, folders = _run(task)
     folder = folders["shift_1m"]
     (folder / "PINNED").touch()
@@ -291,8 +292,8 @@ def test_a_view_that_is_not_rendered_as_it_is_asked_for_now_is_left_out_and_said
     task = _task(tmp_path)
     (asked,) = task.scene.views
     facts = {"views": view_facts(task.scene)}
-    record = {"fingerprint": "of then", "metadata": {}, "previews": {}, "checks": [], "seconds": 1.0}
-    (task.store.path("novel_views/quick/0") / "stage.json").write_text(json.dumps(record | {"facts": facts}))
+    record = task.store.path("novel_views/quick/0") / "stage.json"
+    record.write_text(json.dumps(record_of_output(facts=facts)))
 
     def made(*views: ViewEntry) -> tuple[StageOutput, dict[str, Path]]:
         return _run(replace(task, scene=replace(task.scene, views=views)))

@@ -35,6 +35,7 @@ from nvsf_core.stages.versions_page import write_versions_page
 from nvsf_core.stores.documents import read_document, write_document
 from nvsf_core.stores.removal import KEEP_VARIABLE, number_kept, removal_of, removals
 from pipelines.cli import main
+from tests.records import record_of_output
 from tests.stages.test_dataset import _task
 
 VIEWS = ("shift_1m", "test")
@@ -46,8 +47,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     home = tmp_path_factory.mktemp("prepared")
     store = _task(home).store
     for place in ("frames", "evidence", "novel_views/quick/0", "scene_metrics/quick/0"):
-        record = {"fingerprint": place, "metadata": {}, "previews": {}, "checks": [], "seconds": 1.0}
-        write_document(store.path(place) / "stage.json", record)
+        write_document(store.path(place) / "stage.json", record_of_output(fingerprint=place))
     return home
 
 

@@ -11,7 +11,6 @@ from nvsf_core.errors import DataError, StoreError
 from nvsf_core.stages.optional_tools import tools_now_there
 from nvsf_core.stages.runner.contents import hashes_of
 from nvsf_core.stages.runner.disk_space import require_space
-from nvsf_core.stages.runner.earlier_records import EARLIER, earlier_fingerprint, is_earlier, is_taken_over
 from nvsf_core.stages.runner.facts import Facts, difference, facts_of, without_recipe
 from nvsf_core.stages.runner.kept_memory import keep_freed_memory
 from nvsf_core.stages.runner.later import Later
@@ -41,8 +40,6 @@ class StagePlace:
     config: RunConfig
     inputs: Mapping[str, str]
     """Name of each input stage to the path of its output below the scene's folder."""
-    earlier_home: Path | None = None
-    """Where the home lay before it was moved; only homes of NVSF 0.1 need it."""
 
     @property
     def location(self) -> str:
@@ -71,8 +68,7 @@ def compared(place: StagePlace, hashes: FileHashes) -> Comparison:
         DataError: A recorded file cannot be read.
         TimeIsUpError: The time of `hashes` is up.
     """
-    records = _input_records(place)
-    contents = {name: content_of(record) for name, record in records.items()}
+    contents = {name: content_of(record) for name, record in _input_records(place).items()}
     facts = facts_of(place.stage, place.scene, place.config, contents, hashes)
     record = read_record(place.store.recovered(place.location))
     if record is None:
@@ -81,14 +77,8 @@ def compared(place: StagePlace, hashes: FileHashes) -> Comparison:
         tools = tools_now_there(record["metadata"].values())
         reason = f"for {', '.join(tools)}, absent when it was made, can be used now" if tools else ""
         return Comparison(record=record, facts=facts, reason=reason, is_up_to_date=not tools)
-    if not is_earlier(record):
-        reason = f"for {difference(record['facts'], facts)} changed"
-        return Comparison(record=record, facts=facts, reason=reason, is_up_to_date=False)
-    earlier = {name: earlier_fingerprint(one) for name, one in records.items()}
-    homes = (place.store.home, place.earlier_home)
-    if is_taken_over(record, place.stage, place.scene, place.config, earlier, homes):
-        return Comparison(record=record, facts=facts, reason="", is_up_to_date=True)
-    return Comparison(record=record, facts=facts, reason=_earlier_reason(place, record), is_up_to_date=False)
+    reason = f"for {difference(record['facts'], facts)} changed"
+    return Comparison(record=record, facts=facts, reason=reason, is_up_to_date=False)
 
 
 class DamagedInputError(StoreError):
@@ -118,7 +108,7 @@ def skipped_stage(place: StagePlace, progress: Progress) -> Outcome | None:
     for one in removals_of(place.store, found.record):
         progress(f"{name}: {one.place} was {one.words}; delete {one.note} and run again to have it")
     task = _task(place, found, path, progress)
-    record = _checked_again(place.stage, task, _taken_over(path, found, progress, name))
+    record = _checked_again(place.stage, task, found.record)
     return outcome_of(place.stage, path, record, skipped=True)
 
 
@@ -190,7 +180,7 @@ def outcome_of(stage: Stage, path: Path, record: dict[str, Any], *, skipped: boo
         previews={name: path / file for name, file in record["previews"].items()},
         fingerprint=record["fingerprint"],
         content=content_of(record),
-        resources=record.get("resources", {}),
+        resources=record["resources"],
     )
 
 
@@ -221,11 +211,6 @@ def _publish(place: StagePlace, found: Comparison, task: Callable[[Path], Task])
             "files": listed_files(store, folder, output.previews.values(), output.beside),
             "resources": meter.taken(),
         }
-        before = found.record
-        if before is not None and content_of(before) == content_of(record):
-            # Its readers of NVSF 0.1 name it by the fingerprint that it had before.
-            earlier = earlier_fingerprint(before)
-            record |= {EARLIER: earlier} if earlier else {}
         write_document(folder / RECORD_NAME, record)
     return record
 
@@ -283,27 +268,6 @@ def _require_contract(place: StagePlace, folder: Path) -> None:
         )
 
 
-def _earlier_reason(place: StagePlace, record: Mapping[str, Any]) -> str:
-    if record.get("version") != place.stage.version:
-        now = {"version": place.stage.version}
-        return f"for {difference({'version': record.get('version')}, now)} changed"
-    return (
-        "for it was made before fingerprints were of content, and what it was made from, or its place or "
-        "times, changed since; if only the home was moved, NVSF_EARLIER_HOME=<where it lay> takes it over"
-    )
-
-
-def _taken_over(path: Path, found: Comparison, progress: Progress, name: str) -> dict[str, Any]:
-    """The record of an output that is up to date; one of NVSF 0.1 gets its fingerprint of content."""
-    record = found.record or {}
-    if not is_earlier(record):
-        return record
-    progress(f"{name}: taken over from before fingerprints were of content")
-    facts = {"fingerprint": json_digest(found.facts), "facts": found.facts, EARLIER: record["fingerprint"]}
-    write_document(path / RECORD_NAME, record | facts)
-    return record | facts
-
-
 def _checked(stage: Stage, task: Task, made: Sequence[Check]) -> dict[str, Any]:
     """The record's entries on checks: those of `run`, replaced or extended by those of `check`.
 
@@ -327,7 +291,7 @@ def _checked_again(stage: Stage, task: Task, record: dict[str, Any]) -> dict[str
 
     They are, too, if a tool that one of them lacked is there now.
     """
-    is_of_now = record.get("check_version", "") == stage.check_version
+    is_of_now = record["check_version"] == stage.check_version
     lacked = [check["detail"] for check in record["checks"]] if stage.check is not None else []
     if is_of_now and not tools_now_there(lacked):
         return record

@@ -14,7 +14,8 @@ RECORD_NAME = "stage.json"
 _OWN = "."
 """Key of the record's own folder among the folders whose files it lists."""
 _KINDS: dict[str, type | tuple[type, ...]] = {
-    "fingerprint": str, "metadata": dict, "previews": dict, "checks": list,
+    "fingerprint": str, "facts": dict, "version": str, "metadata": dict, "previews": dict, "checks": list,
+    "check_version": str, "files": dict, "resources": dict,
 }  # fmt: skip
 _CHECK_KINDS: dict[str, type | tuple[type, ...]] = {
     "name": str, "passed": bool, "detail": str, "blocking": bool, "unit": str,
@@ -37,10 +38,10 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 def made_s(folder: Path) -> float:
     """When a published output was made, seconds since the epoch.
 
-    The record says it, for a copy gives its files other times; older records do not, then the file's counts.
+    The record says it, for a copy gives its files other times; of a damaged one the file's counts.
     """
-    known = (read_record(folder) or {}).get("made_s")
-    return float((folder / RECORD_NAME).stat().st_mtime if known is None else known)
+    record = read_record(folder)
+    return float((folder / RECORD_NAME).stat().st_mtime if record is None else record["made_s"])
 
 
 def listed_files(
@@ -63,23 +64,16 @@ def _beside(store: SceneStore, place: str) -> dict[str, str]:
 
 
 def content_of(record: Mapping[str, Any]) -> str:
-    """SHA-256 of the checksums of an output's files: what its readers depend on.
-
-    Older records list no files; their outputs are identified by what they were made from.
-    """
-    files = record.get("files")
-    if not files:
-        return str(record["fingerprint"])
-    return json_digest(files)
+    """SHA-256 of the checksums of an output's files: what its readers depend on."""
+    return json_digest(record["files"])
 
 
 def damage_of(store: SceneStore, location: str, record: Mapping[str, Any]) -> str | None:
     """The first file of an output that is absent or changed; None if all are as published.
 
-    What was removed on purpose, by its note, is no damage. Older records list no files; their outputs
-    count as unchanged.
+    What was removed on purpose, by its note, is no damage.
     """
-    for place, files in record.get("files", {}).items():
+    for place, files in record["files"].items():
         folder = store.recovered(location if place == _OWN else place)
         name = damaged_file(folder, files)
         # The note comes before the removal: an output that is taken away while it is read has one, too.
@@ -90,7 +84,7 @@ def damage_of(store: SceneStore, location: str, record: Mapping[str, Any]) -> st
 
 def removals_of(store: SceneStore, record: Mapping[str, Any]) -> list[Removal]:
     """The outputs beside a record's own that were removed on purpose since."""
-    found = [_removal(store, place, files) for place, files in record.get("files", {}).items()]
+    found = [_removal(store, place, files) for place, files in record["files"].items()]
     return [one for one in found if one is not None]
 
 
@@ -107,14 +101,12 @@ def _is_record(record: Mapping[str, Any]) -> bool:
         return False
     return (
         _is_number(record.get("seconds"))
-        and _is_number(record.get("made_s", 0.0))
+        and _is_number(record.get("made_s"))
         and all(_is_scalar(value) for value in record["metadata"].values())
         and all(_is_inside(file) for file in record["previews"].values())
         and all(_is_check(check) for check in record["checks"])
-        and _lists_files(record.get("files", {}))
-        and isinstance(record.get("facts", {}), dict)
-        and isinstance(record.get("resources", {}), dict)
-        and all(_is_number(value) for value in record.get("resources", {}).values())
+        and _lists_files(record["files"])
+        and all(_is_number(value) for value in record["resources"].values())
     )
 
 
@@ -145,9 +137,7 @@ def _is_text(value: Any) -> bool:
     return isinstance(value, str) and value == value.encode(errors="ignore").decode()
 
 
-def _lists_files(listed: Any) -> bool:
-    if not isinstance(listed, dict):
-        return False
+def _lists_files(listed: dict[Any, Any]) -> bool:
     return all(
         _is_inside(place)
         and isinstance(files, dict)

@@ -281,14 +281,12 @@ def say_on_stderr(line: str, /) -> None:
 
 def place_of(stage: Stage, run: SceneRun, by_name: Mapping[str, Stage]) -> StagePlace:
     """A stage on a run's scene; `by_name` has the stages that it reads."""
-    earlier = os.environ.get("NVSF_EARLIER_HOME")
     return StagePlace(
         stage=stage,
         scene=run.scene,
         store=run.store,
         config=run.config,
         inputs={source: by_name[source].location(run.config) for source in stage.inputs},
-        earlier_home=Path(earlier).absolute() if earlier else None,
     )
 
 

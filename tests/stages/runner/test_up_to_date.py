@@ -1,12 +1,11 @@
-"""What is up to date: content decides, not its place or its times; homes of before are taken over."""
+"""What is up to date: content decides, not its place or its times."""
 
 import contextlib
-import hashlib
 import json
 import os
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -104,76 +103,15 @@ def test_a_drive_that_changes_while_it_is_read_is_not_published(copy: Path, tiny
     assert not (copy / "home/tiny/a").exists()
 
 
-_LATER = (
-    "views", "recipe", "licence", "kind", "lidar", "cut_frames", "overlap_frames", "lidar_topic", "rectified",
-)  # fmt: skip
-"""Fields of an entry that earlier fingerprints did not have."""
-
-
-def _make_earlier(home: Path, entry: SceneEntry) -> None:
-    """Give the records of a home the fingerprints that NVSF 0.1 gave them, computed as it did."""
-    known: dict[str, str] = {}
-    for stage in PREPARED:
-        path = home / entry.name / stage.name / "stage.json"
-        record = json.loads(path.read_text())
-        facts = {
-            "stage": stage.name,
-            "version": stage.version,
-            "inputs": {name: known[name] for name in sorted(stage.inputs)},
-            "scene": {k: str(v) for k, v in asdict(entry).items() if k not in _LATER}
-            | {"compensate": str(entry.is_to_compensate)},
-        }
-        if stage.reads_drive:
-            facts["drive"] = _listing(entry)
-        known[stage.name] = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
-        del record["facts"]
-        path.write_text(json.dumps(record | {"fingerprint": known[stage.name]}))
-
-
-def _listing(entry: SceneEntry) -> str:
-    digest = hashlib.sha256()
-    folders = [entry.root / "calibration"]
-    folders += [entry.root / kind / entry.sequence for kind in ("data_3d_raw", "data_2d_raw", "data_poses")]
-    files = [path for folder in folders for path in sorted(folder.rglob("*")) if path.is_file()]
-    files += sorted((entry.root / "data_3d_bboxes").glob(f"*/{entry.sequence}.xml"))
-    for path in files:
-        name = path.relative_to(entry.root).as_posix()
-        digest.update(f"{name} {path.stat().st_size} {path.stat().st_mtime_ns}\n".encode())
-    return digest.hexdigest()
-
-
-def test_a_home_of_before_is_taken_over_where_nothing_changed(copy: Path, tiny_catalogue: Path) -> None:
-    entry, said = _entry(tiny_catalogue, copy), list[str]()
-    _make_earlier(copy / "home", entry)
-    assert _prepare(entry, copy / "home", said) == []
-    assert sum("taken over" in line for line in said) == len(PREPARED)
-    again = list[str]()
-    assert _prepare(entry, copy / "home", again) == [] and not any("taken over" in line for line in again)
-
-
-def test_of_a_home_of_before_only_what_reads_the_drive_is_made_again_where_times_changed(
-    copy: Path, tiny_catalogue: Path
+@pytest.mark.parametrize("key", ["facts", "files", "made_s", "resources", "check_version"])
+def test_an_output_whose_record_lacks_something_is_made_again(
+    key: str, copy: Path, tiny_catalogue: Path
 ) -> None:
-    entry, said = _entry(tiny_catalogue, copy), list[str]()
-    _make_earlier(copy / "home", entry)
-    poses = DriveLayout(entry.root, entry.sequence).poses_path
-    os.utime(poses, (1.0, 1.0))
-    assert _prepare(entry, copy / "home", said) == ["frames", "sweeps"]
-    assert any("made before fingerprints were of content" in line for line in said)
-
-
-def test_a_home_of_before_that_was_moved_is_taken_over_if_its_place_is_named(
-    copy: Path, tiny_catalogue: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    home = tmp_path / "copy"  # the drive lies inside, as the embedded street does
-    _make_earlier(copy / "home", _entry(tiny_catalogue, copy))
-    shutil.move(copy / "home/tiny", home / "tiny")
-    moved = tmp_path / "elsewhere"
-    shutil.copytree(home, moved)
-    entry, said = _entry(tiny_catalogue, moved), list[str]()
-    monkeypatch.setenv("NVSF_EARLIER_HOME", str(home))
-    assert _prepare(entry, moved, said) == [], said
-    assert sum("taken over" in line for line in said) == len(PREPARED)
+    entry, path = _entry(tiny_catalogue, copy), copy / "home/tiny/pano/stage.json"
+    record = json.loads(path.read_text())
+    path.write_text(json.dumps({name: value for name, value in record.items() if name != key}))
+    assert _prepare(entry, copy / "home") == ["pano"]
+    assert _prepare(entry, copy / "home") == []
 
 
 def test_what_would_be_made_again_and_what_is_damaged_is_said(copy: Path, tiny_catalogue: Path) -> None:
