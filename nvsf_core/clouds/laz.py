@@ -10,7 +10,6 @@ from nvsf_core.errors import MissingLibraryError
 
 _SCALE_M = 0.0001
 """Step of the stored coordinates: LAS holds whole numbers."""
-UNKNOWN_SUPPORT = 255
 
 
 def require_laspy() -> Any:
@@ -30,7 +29,7 @@ def require_laspy() -> Any:
 
 
 def write_laz(
-    path: Path, rows: np.ndarray, ring: np.ndarray, offset_s: np.ndarray, support: np.ndarray | None
+    path: Path, rows: np.ndarray, ring: np.ndarray, offset_s: np.ndarray, support: np.ndarray
 ) -> None:
     """Write a scan as LAZ 1.4, point format 6, with the further dimensions `ring`, `time`, `support`.
 
@@ -39,7 +38,7 @@ def write_laz(
         rows: (N, 4) x, y, z in metres, rounded to 0.1 mm, and intensity 0..1, stored as 0..65535.
         ring: (N,) laser.
         offset_s: (N,) seconds after the scan's stamp.
-        support: (N,) `Support`; None = 255.
+        support: (N,) `Support`.
 
     Raises:
         MissingLibraryError: laspy or lazrs is not installed.
@@ -58,7 +57,6 @@ def write_laz(
     cloud.intensity = np.rint(rows[:, 3] * 65535.0).astype(np.uint16)
     # A return's number counts from 1: one of 0 is no return for who asks for first returns.
     cloud.return_number = cloud.number_of_returns = np.ones(len(rows), np.uint8)
-    cloud.ring, cloud.time = ring, offset_s
-    cloud.support = np.full(len(rows), UNKNOWN_SUPPORT, np.uint8) if support is None else support
+    cloud.ring, cloud.time, cloud.support = ring, offset_s, support
     path.parent.mkdir(parents=True, exist_ok=True)
     cloud.write(str(path), do_compress=True)

@@ -98,9 +98,7 @@ def changes(before: Manifest, now: Manifest) -> list[str]:
     commits = [str(one.get("commit", "unknown"))[:_SHORT] for one in (before, now)]
     found += [f"commit {' → '.join(commits)}"] if commits[0] != commits[1] else []
     found += _software_changes(before.get("software", {}), now.get("software", {}))
-    sources = [one.get("rendered_from") for one in (before, now)]
-    # Manifests of before do not tell it.
-    inputs = _differing(sources[0], sources[1]) if sources[0] and sources[1] else []
+    inputs = _differing(before.get("rendered_from", {}), now.get("rendered_from", {}))
     found += [f"content of {', '.join(inputs)}"] if inputs else []
     return found or [_SAME]
 

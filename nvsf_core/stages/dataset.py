@@ -25,7 +25,6 @@ from nvsf_core.stages.exports.manifest import (
     MANIFEST_NAME,
     SEAL,
     damaged_data_set,
-    is_sealed,
     stored_number,
 )
 from nvsf_core.stages.exports.of_view import RenderedView
@@ -82,7 +81,7 @@ def _rendered_from(task: Task) -> dict[str, str]:
 def is_there(task: Task, location: str) -> bool:
     """Whether a version of a data set was published before and is whole: its files then stay as they are."""
     folder = task.store.recovered(location)
-    return is_sealed(folder) and damaged_data_set(folder) is None and bool(_rendered_from(task))
+    return damaged_data_set(folder) is None and bool(_rendered_from(task))
 
 
 def run(task: Task) -> StageOutput:
@@ -197,8 +196,8 @@ def _asked_since(task: Task, rendered: Path) -> dict[str, str]:
     It may have changed since, where this stage is run alone or while a run goes on; a manifest that says what
     is asked for now would then lie about what was rendered.
     """
-    known = (read_record(rendered) or {}).get("facts", {}).get("views")
-    if known is None:  # of a version that kept none
+    known = (read_record(rendered) or {"facts": {}})["facts"].get("views")
+    if known is None:
         return {}
     then, found = {view["name"]: view for view in known}, {}
     for now in view_facts(task.scene):

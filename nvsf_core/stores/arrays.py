@@ -128,7 +128,6 @@ def _read(
     if missing:
         raise foreign(path, f"expected arrays {missing}, found {present}")
     members: dict[str, Any] = {name: group[name] for name in wanted}
-    is_whole = any(map(_is_checked, members.values()))
     spec = spec_at(path)
     found: Contents[np.ndarray] = Contents(path)
     for name, stored in members.items():
@@ -136,19 +135,13 @@ def _read(
         faults = () if spec is None else field_faults(spec, name, stored.dtype, stored.shape)
         for fault in faults:
             raise foreign(path, fault)
-        _require_chunks(path, name, stored, is_whole=is_whole)
+        _require_chunks(path, name, stored)
         found[name] = np.asarray(stored[rows])
     return found
 
 
-def _require_chunks(path: Path, name: str, stored: Any, *, is_whole: bool) -> None:
+def _require_chunks(path: Path, name: str, stored: Any) -> None:
     """Check number and size of an array's chunk files; Zarr's own list of a huge shape would take all memory.
-
-    Args:
-        path: Path of the group.
-        name: Name of the array.
-        stored: The array.
-        is_whole: Whether chunks of zeros were written too; older groups lack them.
 
     Raises:
         StoreError: Chunks are missing or too large.
@@ -157,17 +150,12 @@ def _require_chunks(path: Path, name: str, stored: Any, *, is_whole: bool) -> No
     expected = math.prod(-(-n // chunk) for n, chunk in zip(stored.shape, stored.chunks, strict=True))
     files = [Path(folder) / file for folder, _, files in os.walk(path / name) for file in files]
     sizes = [file.stat().st_size for file in files if file.name != _METADATA]
-    if (is_whole and len(sizes) != expected) or expected > _MOST_CHUNKS:
+    if len(sizes) != expected or expected > _MOST_CHUNKS:
         raise foreign(path, f"{name}: expected {expected} chunks, found {len(sizes)}")
     if max(sizes, default=0) > 2 * chunk_bytes + _HEADROOM_BYTES or chunk_bytes > _MOST_CHUNK_BYTES:
         raise foreign(
             path, f"{name}: expected chunks of {chunk_bytes:,} bytes, found one of {max(sizes, default=0):,}"
         )
-
-
-def _is_checked(stored: zarr.Array) -> bool:
-    """Whether the array was written with checksums, and so with all its chunks; older ones were not."""
-    return any(isinstance(codec, Crc32cCodec) for codec in stored.compressors)
 
 
 def _absent(path: Path) -> StoreError:

@@ -49,7 +49,8 @@ def data_set(scene: SceneEntry) -> DataSet:
         turn = np.concatenate([[0], np.cumsum(np.diff(np.mod(azimuth, 2.0 * np.pi)) < -np.pi)])
         return ScanRecord(
             number=index, rows=rows, ring=turn.astype("<u2"),
-            offset_s=(-azimuth / (2.0 * np.pi) * PERIOD_S).astype("<f4"), support=None,
+            offset_s=(-azimuth / (2.0 * np.pi) * PERIOD_S).astype("<f4"),
+            support=np.zeros(len(rows), np.uint8),
             stamp_s=index * PERIOD_S, time_s=index * PERIOD_S, lidar_to_world=lidar_to_world[index],
         )  # fmt: skip
 
@@ -59,6 +60,7 @@ def data_set(scene: SceneEntry) -> DataSet:
             camera=camera, number=index, rgb=drive.read_image(camera, index, model.width, model.height),
             stamp_s=index * PERIOD_S, time_s=index * PERIOD_S,
             camera_to_world=facts.poses[index] @ cameras[camera].to_pose,
+            depth_m=np.zeros((model.height, model.width), np.float32),
         )  # fmt: skip
 
     def labelled(index: int) -> list[BoxRecord]:

@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ import pytest
 
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.errors import DataError, StoreError
+from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.recipe import preset
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.simulation.raydrop import sharpen_hits
@@ -27,6 +28,7 @@ from tests.clouds.ply_reader import read_ply
 from tests.records import record_of_output
 
 _LASERS, _FIRINGS = 8, 64
+_PINHOLE = Pinhole(fx=5.0, fy=5.0, cx=3.5, cy=2.5, width=8, height=6)
 
 
 def _grid(scans: int) -> dict[str, np.ndarray]:
@@ -41,6 +43,8 @@ def _grid(scans: int) -> dict[str, np.ndarray]:
         "grid_intensity": np.full(azimuth.shape, 0.3, np.float32),
         "grid_azimuth_rad": azimuth.astype(np.float32),
         "grid_elevation_rad": elevation.astype(np.float32),
+        "grid_support": np.zeros(azimuth.shape, np.uint8),
+        "grid_firings": np.full(scans, _FIRINGS),
     }
 
 
@@ -52,6 +56,7 @@ def _write_view(store: SceneStore, view: str, frames: list[int], arrays: dict[st
             {
                 "frame": np.array(frames),
                 "time_s": np.arange(count) * 0.1,
+                "stamp_s": np.arange(count) * 0.1,
                 "lidar_to_world": np.tile(np.eye(4), (count, 1, 1)),
                 "offsets": np.arange(count + 1) * 5,
                 "points_m": np.arange(count * 15, dtype=np.float32).reshape(-1, 3),
@@ -59,9 +64,19 @@ def _write_view(store: SceneStore, view: str, frames: list[int], arrays: dict[st
                 "image_00_rgb": np.full((count, 6, 8, 3), 90, np.uint8),
                 "image_00_frame": np.array(frames),
                 "image_00_time_s": np.arange(count) * 0.1,
+                "image_00_range_m": np.full((count, 6, 8), 5.0, np.float16),
+                "image_00_camera_to_world": np.tile(np.eye(4), (count, 1, 1)),
                 **arrays,
             },
-            {"sensor": "HDL-64E", "peak_memory_mb": math.nan},
+            {
+                "sensor": "HDL-64E",
+                "peak_memory_mb": math.nan,
+                "sweep_period_s": 0.1,
+                "grid_lasers": list(range(_LASERS)),
+                "instances": [],
+                "camera_models": {"image_00": {"kind": "pinhole", **asdict(_PINHOLE)}},
+                "camera_in_lidar": {"image_00": np.eye(4).reshape(-1).tolist()},
+            },
         )
 
 
@@ -78,7 +93,7 @@ def _task(tmp_path: Path, draw_seed: int = 0, exports: tuple[str, ...] = ("bin",
             write_table(folder / "cameras.parquet", columns)
         with store.publish("evidence") as folder:
             write_table(folder / "moving.parquet", {"object_id": [], "time_s": [], "box_to_world": []})
-        _write_view(store, "test", [2], {})
+        _write_view(store, "test", [2], _grid(1))
         _write_view(store, "shift_1m", [1, 4], _grid(2))
         shared = {
             "scene": "tiny", "split": "test", "protocol": "raw", "region": "all", "sensor": "lidar",
@@ -139,7 +154,6 @@ def test_support_lies_beside_each_scan_in_the_order_of_its_points(tmp_path: Path
     ]
     assert row["files"]["support"] == "velodyne_points/support/0000000004.bin"
     assert row["support_seen"] == int((support == Support.SEEN).sum())
-    assert not (folders["test"] / "velodyne_points/support").exists(), "it was rendered without"
 
 
 def test_a_views_true_images_are_no_part_of_its_data_set(tmp_path: Path) -> None:
@@ -191,17 +205,11 @@ def test_what_is_measured_later_comes_into_manifest_and_card_and_no_other_file(
     (folder / "labels.txt").write_text("more of them")
     assert damaged_data_set(folder) is None, "what a reader puts beside it is none of the data set's"
     manifest = json.loads(texts["manifest.json"])
-    bare = {key: value for key, value in manifest.items() if key not in ("field_metrics", "rendering")}
-    write_manifest(folder, {key: value for key, value in bare.items() if key != SEAL})  # as of `nvsf view`
+    bare = {key: value for key, value in manifest.items() if key not in ("field_metrics", "rendering", SEAL)}
+    write_manifest(folder, bare)  # as of `nvsf view`
     _run(task)
     again = json.loads((folder / "manifest.json").read_text())
     assert again["field_metrics"] == manifest["field_metrics"] and "sensor" in again["rendering"]
-
-
-def test_a_view_without_a_grid_is_exported_as_rendered(tmp_path: Path) -> None:
-    _, folders = _run(_task(tmp_path))
-    scan = np.fromfile(folders["test"] / "velodyne_points/data/0000000002.bin", "<f4").reshape(-1, 4)
-    np.testing.assert_array_equal(scan[:, :3], np.arange(15).reshape(-1, 3))
 
 
 def test_the_manifest_names_sources_poses_and_metrics_in_strict_json(tmp_path: Path) -> None:
@@ -234,11 +242,11 @@ def test_the_estimated_size_counts_the_images_of_each_whole_format(tmp_path: Pat
     def estimate(name: str, *exports: str) -> int:
         return dataset_bytes(_task(tmp_path / name, exports=exports))
 
-    # 2 images of 6 x 8 pixels, of colours alone: 3 bytes a pixel and format, beside 40 a return for 16.
+    # 2 images of 6 x 8 pixels: 3 bytes a pixel's colours, 4 its depth, beside 40 a return for 16.
     returns_more = int(1.1 * 10 * (16 + 40 + 7)) - int(1.1 * 10 * (16 + 7))
     one = estimate("one", "bin")
-    for whole in ("kitti", "kitti360", "nuscenes", "mcap", "rosbag2"):
-        assert estimate(whole, "bin", whole) == one + returns_more + 2 * 6 * 8 * 3, whole
+    for whole, pixel in (("kitti", 3), ("kitti360", 3), ("nuscenes", 3), ("mcap", 7), ("rosbag2", 7)):
+        assert estimate(whole, "bin", whole) == one + returns_more + 2 * 6 * 8 * pixel, whole
 
 
 def test_another_licence_changes_the_card_and_no_training() -> None:

@@ -189,7 +189,7 @@ def _files(row: dict[str, Any]) -> list[str]:
 
 def _objects(manifests: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """The objects of all parts' instance images, each once, by number."""
-    found = {row["object_id"]: row for one in manifests for row in one.get("instances", [])}
+    found = {row["object_id"]: row for one in manifests for row in one["instances"]}
     return [found[number] for number in sorted(found)]
 
 

@@ -27,14 +27,10 @@ def write_manifest(folder: Path, entries: Mapping[str, Any]) -> None:
 def damaged_data_set(folder: Path) -> str | None:
     """The first file of a data set that is absent or not what was published; None if all are whole.
 
-    The manifest lists the others by size and checksum. Manifests of before have no digest of themselves, and
-    the oldest no list: what is not listed counts as whole.
+    The manifest lists the others by size and checksum.
     """
     manifest = sound_manifest(folder)
-    listed = None if manifest is None else manifest.get(CHECKSUMS, {})
-    if not isinstance(listed, dict):
-        return MANIFEST_NAME
-    return damaged_file(folder, {str(name): str(checksum) for name, checksum in listed.items()})
+    return MANIFEST_NAME if manifest is None else damaged_file(folder, manifest[CHECKSUMS])
 
 
 def sound_manifest(folder: Path) -> dict[str, Any] | None:
@@ -43,9 +39,8 @@ def sound_manifest(folder: Path) -> dict[str, Any] | None:
         manifest = dict(read_document(folder / MANIFEST_NAME))
     except StoreError:
         return None
-    seal = manifest.get(SEAL)
     own = json_digest({key: value for key, value in manifest.items() if key != SEAL})
-    return manifest if seal in (None, own) else None
+    return manifest if manifest.get(SEAL) == own else None
 
 
 def stored_number(value: float) -> float | str | None:
@@ -70,11 +65,3 @@ def asked_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
     """What a manifest's view asks for: its entry without the formats that it is written in."""
     view = manifest.get("view")
     return {key: value for key, value in view.items() if key != "exports"} if isinstance(view, dict) else {}
-
-
-def is_sealed(folder: Path) -> bool:
-    """Whether a data set's manifest carries its own digest."""
-    try:
-        return SEAL in read_document(folder / MANIFEST_NAME)
-    except StoreError:
-        return False

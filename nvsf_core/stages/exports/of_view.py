@@ -11,7 +11,6 @@ from nvsf_core.drives.view_entry import MEASURED, ViewEntry
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.sensors.sweep import sweep_fraction
 from nvsf_core.sensors.sweep_clock import SweepClock
 from nvsf_core.simulation.raydrop import SAMPLING_SHARPNESS
 from nvsf_core.simulation.scan import GRID_ARRAYS, RANGE_NOISE_M, sample_scan
@@ -20,8 +19,6 @@ from nvsf_core.stages.runner.stage import RunConfig
 from nvsf_core.stages.views.files import cameras_of, file_numbers
 from nvsf_core.stages.views.instances import depth_m, object_ids
 from nvsf_core.stages.views.view import camera_models
-
-_BY_THRESHOLD = "as rendered (the most likely returns)"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -55,19 +52,12 @@ class RenderedView:
             )
         return float(measured)
 
-    @property
-    def has_grid(self) -> bool:
-        """Whether all rays were rendered, so that returns can be sampled."""
-        return GRID_ARRAYS[0] in self.arrays
-
     def what_was_sampled(self) -> dict[str, Any]:
         """The manifest's words on what is random."""
         if "points_m" not in self.arrays:
             return {"hits": "nothing: no LiDAR", "range_noise_m": 0.0}
-        if not self.has_grid:
-            return {"hits": _BY_THRESHOLD, "range_noise_m": 0.0}
         if self.entry.hits == "threshold":
-            return {"hits": _BY_THRESHOLD, "range_noise_m": self.range_noise_m}
+            return {"hits": "as rendered (the most likely returns)", "range_noise_m": self.range_noise_m}
         return {
             "hits": "drawn from the hit probability",
             "sharpness": SAMPLING_SHARPNESS,
@@ -76,47 +66,36 @@ class RenderedView:
 
     def scan(self, index: int) -> ScanRecord:
         """The scan of an instant: sampled from the rendered grid, with the data set's own seed."""
-        a, period_s = self.arrays, float(self.attrs.get("sweep_period_s", 0.0))
-        if not self.has_grid:
-            own = slice(int(a["offsets"][index]), int(a["offsets"][index + 1]))
-            rows = np.concatenate([a["points_m"][own], a["intensity"][own, None]], axis=1).astype(np.float32)
-            ring = a["laser"][own] if "laser" in a else np.zeros(len(rows))
-            fraction = sweep_fraction(np.arctan2(rows[:, 1].astype(np.float64), rows[:, 0]))
-            support = a["support"][own] if "support" in a else None
-        else:
-            grid = {name: a[name][index] for name in GRID_ARRAYS}
-            rows, ray = sample_scan(
-                grid, np.random.default_rng([self.config.draw_seed, index, *self._words()]),
-                self.range_noise_m, by_threshold=self.entry.hits == "threshold",
-            )  # fmt: skip
-            row, column = np.divmod(ray, grid[GRID_ARRAYS[0]].shape[1])
-            lasers = np.asarray(self.attrs.get("grid_lasers", np.arange(len(grid[GRID_ARRAYS[0]]))))
-            ring = lasers[row]
-            firings = int(a["grid_firings"][index]) if "grid_firings" in a else grid[GRID_ARRAYS[0]].shape[1]
-            fraction = (column + 0.5) / firings - 0.5
-            support = a["grid_support"][index].reshape(-1)[ray] if "grid_support" in a else None
+        a = self.arrays
+        grid = {name: a[name][index] for name in GRID_ARRAYS}
+        rows, ray = sample_scan(
+            grid, np.random.default_rng([self.config.draw_seed, index, *self._words()]),
+            self.range_noise_m, by_threshold=self.entry.hits == "threshold",
+        )  # fmt: skip
+        row, column = np.divmod(ray, grid[GRID_ARRAYS[0]].shape[1])
+        fraction = (column + 0.5) / int(a["grid_firings"][index]) - 0.5
         elapsed = SweepClock.stored(a.get("sweep_clock"), index).elapsed(fraction)
         return ScanRecord(
-            number=self.numbers[index], rows=rows, ring=ring.astype("<u2"),
-            offset_s=(elapsed * period_s).astype("<f4"), support=support, stamp_s=float(self.stamp_s[index]),
-            time_s=float(a["time_s"][index]), lidar_to_world=a["lidar_to_world"][index],
-        )  # fmt: skip
+            number=self.numbers[index],
+            rows=rows,
+            ring=np.asarray(self.attrs["grid_lasers"])[row].astype("<u2"),
+            offset_s=(elapsed * float(self.attrs["sweep_period_s"])).astype("<f4"),
+            support=a["grid_support"][index].reshape(-1)[ray],
+            stamp_s=float(a["stamp_s"][index]),
+            time_s=float(a["time_s"][index]),
+            lidar_to_world=a["lidar_to_world"][index],
+        )
 
     @property
     def numbers(self) -> list[int]:
         """File numbers of the instants."""
         return file_numbers(self.arrays)
 
-    @property
-    def stamp_s(self) -> np.ndarray:
-        """(n,) times on the sensor's clock."""
-        return np.asarray(self.arrays.get("stamp_s", self.arrays["time_s"]))
-
     def image_times(self, camera: str, index: int) -> dict[str, float]:
         """`time_s` and `stamp_s` of an image: of the sweep's, where images have no times of their own."""
         time_s = float(self.arrays[f"{camera}_time_s"][index])
         later_s = time_s - float(self.arrays["time_s"][index])
-        return {"time_s": time_s, "stamp_s": float(self.stamp_s[index]) + later_s}
+        return {"time_s": time_s, "stamp_s": float(self.arrays["stamp_s"][index]) + later_s}
 
     def data_set(self, boxes: Callable[[float], list[BoxRecord]]) -> DataSet:
         """The data set, for the formats that hold all of it.
@@ -128,25 +107,25 @@ class RenderedView:
         numbers = self.numbers
         order = np.argsort(numbers)
         whole = [name for name in cameras_of(a) if np.array_equal(a[f"{name}_frame"], a["frame"])]
-        models, mounts = camera_models(self.attrs), self.attrs.get("camera_in_lidar", {})
-        table = self.attrs.get("instances", [])
+        models, mounts = camera_models(self.attrs), self.attrs["camera_in_lidar"]
+        table = self.attrs["instances"]
 
         def image(camera: str, index: int) -> ImageRecord:
             at = int(order[index])
-            ranges, instances = (a.get(f"{camera}_{name}") for name in ("range_m", "instance"))
+            instances = a.get(f"{camera}_instance")
             return ImageRecord(
                 camera=camera, number=numbers[at], rgb=a[f"{camera}_rgb"][at],
                 **self.image_times(camera, at),
                 camera_to_world=a[f"{camera}_camera_to_world"][at],
-                depth_m=None if ranges is None else depth_m(models[camera], ranges[at]),
+                depth_m=depth_m(models[camera], a[f"{camera}_range_m"][at]),
                 object_id=None if instances is None else object_ids(instances[at], table),
             )  # fmt: skip
 
         return DataSet(
             name=self.entry.name, sequence=self.sequence, numbers=[numbers[at] for at in order],
-            stamp_s=self.stamp_s[order], time_s=a["time_s"][order], lidar_to_world=a["lidar_to_world"][order],
-            sweep_period_s=float(self.attrs.get("sweep_period_s", 0.0)), sensor=self.attrs.get("sensor", ""),
-            cameras={name: _camera(models[name], mounts[name]) for name in whole if name in models},
+            stamp_s=a["stamp_s"][order], time_s=a["time_s"][order], lidar_to_world=a["lidar_to_world"][order],
+            sweep_period_s=float(self.attrs.get("sweep_period_s", 0.0)), sensor=self.attrs["sensor"],
+            cameras={name: _camera(models[name], mounts[name]) for name in whole},
             scan=(lambda index: self.scan(int(order[index]))) if "points_m" in a else None,
             image=image, boxes=lambda index: boxes(float(a["time_s"][order[index]])),
         )  # fmt: skip

@@ -21,8 +21,8 @@ class ScanRecord:
     """(N,) uint16: laser, 0 = top."""
     offset_s: np.ndarray
     """(N,) float32: time after the scan's stamp, on the sensor's clock."""
-    support: np.ndarray | None
-    """(N,) uint8 `Support`; None where it is not known."""
+    support: np.ndarray
+    """(N,) uint8 `Support`."""
     stamp_s: float
     """On the sensor's clock."""
     time_s: float
@@ -32,9 +32,8 @@ class ScanRecord:
 
     @property
     def beside(self) -> dict[str, np.ndarray]:
-        """What lies in files beside the scan's: `ring`, `time` and, where it is known, `support`."""
-        found = {"ring": self.ring, "time": self.offset_s}
-        return found if self.support is None else found | {"support": self.support}
+        """What lies in files beside the scan's."""
+        return {"ring": self.ring, "time": self.offset_s, "support": self.support}
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -49,7 +48,7 @@ class ImageRecord:
     time_s: float
     camera_to_world: np.ndarray
     """(4, 4) metres."""
-    depth_m: np.ndarray | None = None
+    depth_m: np.ndarray
     """(H, W) float32 along the optical axis, of a fisheye along the ray, metres; 0 = not known."""
     object_id: np.ndarray | None = None
     """(H, W) int32: object, labelled or found to move, that each pixel shows; 0 = none."""

@@ -28,10 +28,9 @@ POINT = np.dtype([
     ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4"),
     ("support", "u1"),
 ])  # fmt: skip
-"""One point as it is stored; `time` is seconds after the stamp, `support` 255 where it is not known."""
+"""One point as it is stored; `time` is seconds after the stamp."""
 _KINDS = {"<f4": 7, "<u2": 4, "|u1": 2}
 """PointField's numbers of types."""
-_UNKNOWN = 255
 _METADATA_VERSION = 8
 """The newest that ROS 2 Humble reads, too: from 9 on, what a topic offers is a list, which it refuses."""
 _LATCHED = "/tf_static"
@@ -90,9 +89,8 @@ def _write(folder: Path, storage: str, data: DataSet) -> None:
                 out.write(f"/{name}/camera_info", out.camera_info(name, camera, stamp_s), stamp_s)
                 image = data.image(name, index)
                 out.write(f"/{name}/image/compressed", out.image(name, image.rgb, stamp_s), stamp_s)
-                if image.depth_m is not None:
-                    depth = out.numbers(name, image.depth_m, "32FC1", stamp_s)
-                    out.write(f"/{name}/depth/image", depth, stamp_s)
+                depth = out.numbers(name, image.depth_m, "32FC1", stamp_s)
+                out.write(f"/{name}/depth/image", depth, stamp_s)
                 if image.object_id is not None:
                     objects = out.numbers(name, image.object_id, "32SC1", stamp_s)
                     out.write(f"/{name}/instance/image", objects, stamp_s)
@@ -210,8 +208,7 @@ def points_of(scan: ScanRecord) -> np.ndarray:
     points = np.zeros(len(scan.rows), POINT)
     for column, name in enumerate(("x", "y", "z", "intensity")):
         points[name] = scan.rows[:, column]
-    points["ring"], points["time"] = scan.ring, scan.offset_s
-    points["support"] = _UNKNOWN if scan.support is None else scan.support
+    points["ring"], points["time"], points["support"] = scan.ring, scan.offset_s, scan.support
     return points
 
 

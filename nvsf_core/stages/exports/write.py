@@ -63,7 +63,7 @@ def write_data_set(
             WHOLE[name](folder, data)
     return {
         "schema_version": SCHEMA_VERSION,
-        "sensor": view.attrs.get("sensor", ""),
+        "sensor": view.attrs["sensor"],
         "sweep_period_s": float(view.attrs.get("sweep_period_s", 0.0)),
         "scans": scans,
         "images": images,
@@ -74,7 +74,7 @@ def write_data_set(
             if name in WHOLE
         },
         "boxes": _boxes(view, boxes),
-        "instances": view.attrs.get("instances", []),
+        "instances": view.attrs["instances"],
     }
 
 
@@ -120,7 +120,7 @@ def _scan(folder: Path, view: RenderedView, index: int) -> dict[str, Any]:
         "number": scan.number,
         "files": files,
         "returns": len(scan.rows),
-        **({} if scan.support is None else _support_counts(scan.support)),
+        **_support_counts(scan.support),
         "nearest_frame": int(a["frame"][index]),
         "time_s": scan.time_s,
         "stamp_s": scan.stamp_s,
@@ -157,19 +157,17 @@ def _images(folder: Path, view: RenderedView) -> list[dict[str, Any]]:
             row |= _support_counts(a[f"{camera}_support"][index])
         if np.array_equal(a[f"{camera}_frame"], a["frame"]):
             row |= view.image_times(camera, index)
-        if f"{camera}_camera_to_world" in a:
-            row["camera_to_world"] = a[f"{camera}_camera_to_world"][index].reshape(-1).tolist()
+        row["camera_to_world"] = a[f"{camera}_camera_to_world"][index].reshape(-1).tolist()
         rows.append(row)
     return rows
 
 
 def _pixels(folder: Path, view: RenderedView, camera: str, index: int, number: int) -> dict[str, str]:
     """Write depth and instances of an image's pixels as PNG of 16 bits; files by kind."""
-    files, model = {}, camera_models(view.attrs).get(camera)
-    if f"{camera}_range_m" in view.arrays and model is not None:
-        files["depth"] = f"{camera}/depth/{number:010d}.png"
-        steps = np.rint(depth_m(model, view.arrays[f"{camera}_range_m"][index]) / DEPTH_UNIT_M)
-        write_numbers(folder / files["depth"], np.where(steps > _MOST_STEPS, 0, steps).astype(np.uint16))
+    files = {"depth": f"{camera}/depth/{number:010d}.png"}
+    ranges_m = view.arrays[f"{camera}_range_m"][index]
+    steps = np.rint(depth_m(camera_models(view.attrs)[camera], ranges_m) / DEPTH_UNIT_M)
+    write_numbers(folder / files["depth"], np.where(steps > _MOST_STEPS, 0, steps).astype(np.uint16))
     if f"{camera}_instance" in view.arrays:
         files["instance"] = f"{camera}/instance/{number:010d}.png"
         write_numbers(folder / files["instance"], view.arrays[f"{camera}_instance"][index])
@@ -178,7 +176,7 @@ def _pixels(folder: Path, view: RenderedView, camera: str, index: int, number: i
 
 def _cameras(view: RenderedView) -> dict[str, Any]:
     """Model and mounting of each camera."""
-    mounts = view.attrs.get("camera_in_lidar", {})
+    mounts = view.attrs["camera_in_lidar"]
     return {
         name: {
             **facts,
@@ -186,7 +184,7 @@ def _cameras(view: RenderedView) -> dict[str, Any]:
             "depth_unit_m": DEPTH_UNIT_M,
             "depth_along": "optical axis" if facts["kind"] == "pinhole" else "ray",
         }
-        for name, facts in view.attrs.get("camera_models", {}).items()
+        for name, facts in view.attrs["camera_models"].items()
     }
 
 

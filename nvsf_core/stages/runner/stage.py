@@ -208,4 +208,4 @@ class Outcome:
     content: str
     """SHA-256 of the checksums of its files: outputs of the same content have the same one."""
     resources: dict[str, float]
-    """What making it took: `peak_memory_mb`, `read_mb`, `written_mb`; empty for outputs of before."""
+    """What making it took: `peak_memory_mb`, `read_mb`, `written_mb`."""

@@ -159,7 +159,7 @@ def instance_arrays(
     Raises:
         DataError: There are more objects than values.
     """
-    shown_by = [name for name in cameras_of(arrays) if name in models and f"{name}_range_m" in arrays]
+    shown_by = cameras_of(arrays)
     moments = np.concatenate([arrays["time_s"], *(arrays[f"{name}_time_s"] for name in shown_by)])
     at = {time_s: list(boxes(time_s)) for time_s in dict.fromkeys(moments.tolist())}
     known = {box.object_id: box for there in at.values() for box in there}

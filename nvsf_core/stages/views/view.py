@@ -242,7 +242,7 @@ def camera_in_lidar(camera: CameraEntry, like: np.ndarray) -> np.ndarray:
 
 def camera_models(attrs: Mapping[str, Any]) -> dict[str, Pinhole | MeiFisheye]:
     """Models of a stored view's cameras, of its attributes."""
-    return {name: _camera_model(facts) for name, facts in attrs.get("camera_models", {}).items()}
+    return {name: _camera_model(facts) for name, facts in attrs["camera_models"].items()}
 
 
 def _camera_model(facts: Mapping[str, Any]) -> Pinhole | MeiFisheye:

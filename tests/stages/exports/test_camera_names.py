@@ -24,16 +24,19 @@ RIG = small.rig(back=180.0, front=0.0, left=90.0, rear=170.0, right=-90.0)
 def _view(cameras: dict[str, CameraRecord], *exports: str) -> RenderedView:
     """Two frames without a LiDAR; the last camera lacks the image of the second."""
     frames = np.arange(COUNT)
-    arrays = {"frame": frames, "time_s": 0.1 * frames, "lidar_to_world": small.POSES[:COUNT]}
+    arrays = {"frame": frames, "time_s": 0.1 * frames, "stamp_s": 0.1 * frames}
+    arrays["lidar_to_world"] = small.POSES[:COUNT]
     for name, one in cameras.items():
         count = 1 if name == "right" else COUNT
         arrays[f"{name}_rgb"] = np.full((count, small.PINHOLE.height, small.PINHOLE.width, 3), 90, np.uint8)
         arrays[f"{name}_frame"], arrays[f"{name}_time_s"] = frames[:count], 0.1 * frames[:count]
+        arrays[f"{name}_range_m"] = np.full(arrays[f"{name}_rgb"].shape[:3], 5.0, np.float16)
         arrays[f"{name}_camera_to_world"] = small.POSES[:count] @ one.in_lidar
     attrs = {
         "camera_models": {name: {"kind": "pinhole", **asdict(one.model)} for name, one in cameras.items()},
         "camera_in_lidar": {name: one.in_lidar.ravel().tolist() for name, one in cameras.items()},
-        "sweep_period_s": 0.1,
+        "sensor": "",
+        "instances": [],
     }
     entry = ViewEntry(name="left", exports=("bin", *exports))
     return RenderedView(
@@ -69,7 +72,7 @@ def test_cameras_that_keep_their_names_need_no_words(tmp_path: Path) -> None:
     assert "is left out" not in text and " is `" not in text
 
 
-def test_a_manifest_of_before_has_a_card() -> None:
+def test_a_joined_data_set_which_has_no_whole_formats_has_a_card() -> None:
     assert card_of(_manifest())["what"]["camera_names"] == {}
 
 
