@@ -8,6 +8,7 @@ from benchmarks.common.documents import markdown_table
 
 KINDS = ("refused", "doubted", "healed", "harmless", "silent", "raw error", "hang", "crash")
 FAULTS = ("raw error", "hang", "crash")
+_MOST_SILENT = 25
 _MEANING = {
     "refused": "an error of the project's own tree",
     "doubted": "a check fails, or something is left out with its reason",
@@ -33,12 +34,14 @@ def counts(rows: Sequence[Mapping[str, Any]]) -> str:
     return f"{table}\n{words[0].upper()}{words[1:]}.\n"
 
 
-def silent(rows: Sequence[Mapping[str, Any]], most: int = 25) -> str:
+def silent(rows: Sequence[Mapping[str, Any]]) -> str:
     """What was accepted silently, by what was harmed and how."""
     found = Counter((row["harmed"], row["how"]) for row in rows if row["kind"] == "silent")
     if not found:
         return "Nothing was accepted silently.\n"
-    lines: list[list[object]] = [[harmed, how, count] for (harmed, how), count in found.most_common(most)]
-    if len(found) > most:
-        lines.append(["others", f"{len(found) - most} combinations of these", ""])
+    lines: list[list[object]] = [
+        [harmed, how, count] for (harmed, how), count in found.most_common(_MOST_SILENT)
+    ]
+    if len(found) > _MOST_SILENT:
+        lines.append(["others", f"{len(found) - _MOST_SILENT} combinations of these", ""])
     return markdown_table(["harmed", "how", "cases"], lines, "| --- | --- | ---: |")

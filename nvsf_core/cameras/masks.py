@@ -3,6 +3,9 @@
 import cv2
 import numpy as np
 
+_LIT = 8
+"""Grey value that an unlit pixel never reaches."""
+
 
 def inside_source(map_u: np.ndarray, map_v: np.ndarray, width: int, height: int) -> np.ndarray:
     """Where a resampling map reads wholly inside its source image.
@@ -19,18 +22,17 @@ def inside_source(map_u: np.ndarray, map_v: np.ndarray, width: int, height: int)
     return np.asarray((map_u >= 0.0) & (map_u <= width - 1.0) & (map_v >= 0.0) & (map_v <= height - 1.0))
 
 
-def lens_circle(brightest: np.ndarray, threshold: int = 8) -> np.ndarray:
+def lens_circle(brightest: np.ndarray) -> np.ndarray:
     """The part of a fisheye's image sensor that light through its lens reaches.
 
     Args:
         brightest: (H, W, 3) uint8, each pixel's largest value over all images of the camera.
-        threshold: Grey value that an unlit pixel never reaches.
 
     Returns:
         (H, W) bool: false only in dark regions that touch the image's border; a dark object in the
         middle of the image stays valid.
     """
-    dark = (brightest.max(axis=2) < threshold).astype(np.uint8)
+    dark = (brightest.max(axis=2) < _LIT).astype(np.uint8)
     count, labels = cv2.connectedComponents(dark, connectivity=4)
     border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     outside = np.zeros(count, dtype=bool)

@@ -5,7 +5,7 @@ import numpy as np
 _VOXEL_M = 0.4
 
 
-def map_thickness_m(points_m: np.ndarray, voxel_m: float = _VOXEL_M) -> float:
+def map_thickness_m(points_m: np.ndarray) -> float:
     """Thickness of the map's surfaces: median over flat voxels of the standard deviation across the plane.
 
     A voxel is flat if it has at least 30 points and its covariance's second eigenvalue is above four times
@@ -13,12 +13,11 @@ def map_thickness_m(points_m: np.ndarray, voxel_m: float = _VOXEL_M) -> float:
 
     Args:
         points_m: (n, 3) points of all scans, scene-local, metres.
-        voxel_m: Side of a voxel.
 
     Returns:
         Metres; NaN if no voxel is flat.
     """
-    cell = np.floor(points_m / voxel_m).astype(np.int64)
+    cell = np.floor(points_m / _VOXEL_M).astype(np.int64)
     cell -= cell.min(axis=0, initial=0)
     size = cell.max(axis=0, initial=0) + 1
     _, voxel, count = np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2],

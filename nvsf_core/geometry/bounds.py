@@ -24,10 +24,10 @@ class Bounds:
     """The unit cube spans plus/minus this in scaled units; the authors' 2 leaves half of every axis empty."""
 
     @staticmethod
-    def around(low_m: tuple[float, ...], high_m: tuple[float, ...], *, margin_m: float = 1.0) -> "Bounds":
-        """The smallest cube around a box (lower and upper corner), with a margin."""
+    def around(low_m: tuple[float, ...], high_m: tuple[float, ...]) -> "Bounds":
+        """The smallest cube around a box (lower and upper corner), with a metre of margin."""
         centre = tuple(0.5 * (a + b) for a, b in zip(low_m, high_m, strict=True))
-        half = 0.5 * max(b - a for a, b in zip(low_m, high_m, strict=True)) + margin_m
+        half = 0.5 * max(b - a for a, b in zip(low_m, high_m, strict=True)) + 1.0
         return Bounds(centre_m=(centre[0], centre[1], centre[2]), half_m=half)
 
     @staticmethod

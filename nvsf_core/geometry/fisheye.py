@@ -174,20 +174,19 @@ def shown_as(lens: Pinhole | MeiFisheye) -> Pinhole:
     return lens.as_pinhole or perspective_view(lens)
 
 
-def perspective_view(fisheye: MeiFisheye, fov_deg: float = 90.0, size_px: int | None = None) -> Pinhole:
-    """The square perspective camera that a fisheye is undistorted to.
+def perspective_view(fisheye: MeiFisheye, fov_deg: float = 90.0) -> Pinhole:
+    """The square perspective camera that a fisheye is undistorted to: as high as it, at most 1000 pixels.
 
     Args:
         fisheye: The recorded camera.
         fov_deg: Horizontal (and vertical) field of view, in (0, 170].
-        size_px: Side of the view; None = the fisheye's height, at most 1000.
 
     Raises:
         ValueError: The field of view is not one that a perspective image can show.
     """
     if not 0.0 < fov_deg <= 170.0:
         raise ValueError(f"expected a field of view in (0, 170] degrees, found {fov_deg}")
-    size = min(fisheye.height, _LARGEST_VIEW_PX) if size_px is None else size_px
+    size = min(fisheye.height, _LARGEST_VIEW_PX)
     focal = 0.5 * size / math.tan(math.radians(0.5 * fov_deg))
     centre = 0.5 * (size - 1)
     return Pinhole(fx=focal, fy=focal, cx=centre, cy=centre, width=size, height=size)

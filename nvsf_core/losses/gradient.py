@@ -100,21 +100,13 @@ def gradient_mask(
     return chosen(range_m, threshold_m)
 
 
-def mask_coverage(
-    mask: Tensor, range_m: Tensor, edges_m: tuple[float, ...] = BAND_EDGES_M
-) -> list[tuple[int, int]]:
-    """For each band of distance: the number of pixels with a return, and of those that the mask holds.
+def mask_coverage(mask: Tensor, range_m: Tensor) -> list[tuple[int, int]]:
+    """For each band of `BAND_EDGES_M`: the number of pixels with a return, and of those that the mask holds.
 
-    Args:
-        mask: (..., H, W) bool.
-        range_m: (..., H, W), 0 = no return.
-        edges_m: Of the bands [e0, e1), [e1, e2), ...
-
-    Returns:
-        One pair a band.
+    Mask and ranges, 0 = no return, are (..., H, W).
     """
     hit = range_m > 0
-    bands = [hit & (range_m >= low) & (range_m < high) for low, high in pairwise(edges_m)]
+    bands = [hit & (range_m >= low) & (range_m < high) for low, high in pairwise(BAND_EDGES_M)]
     return [(int(band.sum()), int((band & mask).sum())) for band in bands]
 
 

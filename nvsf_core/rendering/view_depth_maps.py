@@ -101,11 +101,11 @@ class ViewDepth:
         )
 
 
-def spread_ranks(count: int, most: int = _MOST_MAPS) -> list[int]:
-    """At most `most` ascending ranks below `count`, dense at first and then sparser."""
+def spread_ranks(count: int) -> list[int]:
+    """At most `_MOST_MAPS` ascending ranks below `count`, dense at first and then sparser."""
     ranks: list[int] = []
     rank = 0.0
-    while len(ranks) < most and round(rank) < count:
+    while len(ranks) < _MOST_MAPS and round(rank) < count:
         ranks.append(round(rank))
         rank = max(rank + 1.0, rank * _SPREAD)
     return ranks

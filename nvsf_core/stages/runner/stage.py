@@ -89,11 +89,11 @@ class NamedCheck:
     blocking: bool = False
     """Whether a failure makes the output unusable; else it only warns."""
 
-    def outcome(self, value: float, limit: float, detail: str, unit: str = "") -> Check:
+    def outcome(self, value: float, limit: float, detail: str) -> Check:
         """The check's outcome: passed if `value` is at most `limit`; NaN fails."""
         return Check(
             name=self.name, passed=value <= limit, detail=detail, blocking=self.blocking, value=value,
-            limit=limit, unit=unit,
+            limit=limit,
         )  # fmt: skip
 
     def not_run(self, reason: str) -> Check:
