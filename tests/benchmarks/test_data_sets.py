@@ -48,17 +48,27 @@ def test_every_format_has_a_row_with_seconds_and_megabytes(tmp_path: Path) -> No
     with store.publish("evidence") as folder:
         write_table(folder / "moving.parquet", {"object_id": [], "time_s": [], "box_to_world": []})
     count, points = 2, 50
+    azimuth = np.tile(np.linspace(3.0, -3.0, points, dtype=np.float32), (count, 1, 1))
+    grid = {
+        "grid_range_m": np.full_like(azimuth, 5.0), "grid_hit": np.ones_like(azimuth),
+        "grid_intensity": np.full_like(azimuth, 0.5), "grid_azimuth_rad": azimuth,
+        "grid_elevation_rad": np.zeros_like(azimuth), "grid_support": np.zeros(azimuth.shape, np.uint8),
+        "grid_firings": np.full(count, points),
+    }  # fmt: skip
     with store.publish("novel_views/quick/0/test") as folder:
         write_arrays(
             folder / "model.zarr",
             {
-                "frame": np.array([1, 2]), "time_s": np.array([0.0, 0.1]),
+                "frame": np.array([1, 2]), "time_s": np.array([0.0, 0.1]), "stamp_s": np.array([0.0, 0.1]),
                 "lidar_to_world": np.tile(np.eye(4), (count, 1, 1)), "offsets": np.arange(count + 1) * points,
                 "points_m": np.random.default_rng(0).uniform(1.0, 9.0, (count * points, 3)).astype("f4"),
                 "intensity": np.full(count * points, 0.5, np.float32),
-                "lidar_render_seconds": np.array([0.5, 0.7]),
+                "lidar_render_seconds": np.array([0.5, 0.7]), **grid,
             },
-            {"sensor": "HDL-64E", "cameras": [], "sweep_period_s": 0.1},
+            {
+                "sensor": "HDL-64E", "cameras": [], "sweep_period_s": 0.1, "grid_lasers": [0],
+                "camera_models": {}, "camera_in_lidar": {}, "instances": [],
+            },
         )  # fmt: skip
     scene = SceneEntry(
         name="tiny", root=tmp_path, sequence="s", first_frame=1, last_frame=2, test_frames=(2,)
@@ -68,7 +78,7 @@ def test_every_format_has_a_row_with_seconds_and_megabytes(tmp_path: Path) -> No
     assert rows[0][4:6] == ["(rendering)", "0.60"]
     assert [row[4] for row in rows[1:]] == [f"`{kind}`" for kind in EXPORTS]
     sizes = {row[4]: float(row[6]) for row in rows[1:] if row[6]}
-    assert sizes["`bin`"] == pytest.approx((16 + 2 + 4) * points / 1e6, abs=0.005)
+    assert sizes["`bin`"] == pytest.approx((16 + 2 + 4 + 1) * points / 1e6, abs=0.005)
     assert not [path for path in tmp_path.iterdir() if path.name not in ("tiny",)], "nothing is left over"
 
 
