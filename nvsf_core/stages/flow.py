@@ -19,7 +19,7 @@ FRAMES = Stage(
     group="ingest",
     inputs=(),
     description="Every frame of the drive: when and where it was taken, and whether it can be used.",
-    version="8",
+    version="9",
     run=_later("frames", "run"),
     reads_drive=True,
 )
@@ -32,7 +32,7 @@ SWEEPS = Stage(
     run=_later("sweeps", "run"),
     reads_drive=True,
     check=_later("checks.registration", "check_registration"),
-    check_version="5",
+    check_version="6",
     named_checks=SWEEP_CHECKS,
     estimate_bytes=_later("sizes", "sweeps_bytes"),
 )
@@ -97,7 +97,7 @@ NOVEL_VIEWS = Stage(
     reads_views=True,
     estimate_bytes=_later("sizes", "novel_views_bytes"),
     check=_later("novel_views", "check"),
-    check_version="4",
+    check_version="5",
     named_checks=VIEW_CHECKS,
 )
 SCENE_METRICS = Stage(
@@ -114,7 +114,7 @@ SCENE_METRICS = Stage(
     per_recipe=True,
     reads_truth=True,
     check=_later("checks.metrics", "check_metrics"),
-    check_version="3",
+    check_version="4",
     named_checks=METRIC_CHECKS,
 )
 DATASET = Stage(
