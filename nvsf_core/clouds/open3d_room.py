@@ -2,30 +2,43 @@
 
 import ctypes
 import importlib
+import sys
+from types import ModuleType
 from typing import Any
 
 from nvsf_core.errors import MissingLibraryError
 
 _SYSTEM_PACKAGES = "libegl1 libgl1 libx11-6 libudev1 libidn2-0 libusb-1.0-0"
 
+_DRAWING = "open3d.visualization"
 NO_OPEN3D = "open3d cannot be loaded"
 """Said of all that was not made for want of it."""
 
 
 def load_open3d() -> Any:
-    """The open3d module, with libusb loaded beforehand.
+    """The open3d module without `open3d.visualization`, with libusb loaded beforehand.
 
     Raises:
         MissingLibraryError: open3d or one of its system libraries is absent; the message names the packages.
     """
-    _preload_libusb()
     try:
-        return importlib.import_module("open3d")
+        return importlib.import_module("open3d") if "open3d" in sys.modules else _first_import()
     except (ImportError, OSError) as error:
         raise MissingLibraryError(
             f"not run: {NO_OPEN3D} ({error}). `pip install open3d libusb-package` installs it,"
             f" `apt-get install -y {_SYSTEM_PACKAGES}` the system libraries that it links to"
         ) from error
+
+
+def _first_import() -> Any:
+    _preload_libusb()
+    # Drawing brings dash, plotly and IPython, which take longer than all else of open3d. Who imports it later
+    # by its full name gets it.
+    sys.modules[_DRAWING] = ModuleType(_DRAWING)
+    try:
+        return importlib.import_module("open3d")
+    finally:
+        sys.modules.pop(_DRAWING, None)
 
 
 def _preload_libusb() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nvsf_core.clouds.mesh import Mesh, mesh_rays, poisson_mesh, poisson_surface
+from nvsf_core.clouds.mesh import Mesh, mesh_rays, poisson_mesh
 from nvsf_core.errors import DataError
 
 pytestmark = pytest.mark.usefixtures("open3d")
@@ -42,8 +42,3 @@ def test_poisson_closes_a_hole_and_trimming_opens_it_again() -> None:
 def test_too_few_points_are_refused_with_their_number() -> None:
     with pytest.raises(DataError, match="found 64"):
         _mesh(np.random.default_rng(0).uniform(-1.0, 1.0, (64, 3)))
-
-
-def test_an_ended_poisson_process_is_told_with_its_exit_code() -> None:
-    with pytest.raises(DataError, match=r"ended with exit code -?\d+ and no surface"):
-        poisson_surface(np.zeros((1, 2)), np.zeros((1, 2)), depth=4)
