@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import sys
+from collections.abc import Callable, Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.errors import StoreError
 from nvsf_core.metrics.table import COLUMNS, UNITS
+from nvsf_core.reporting import plots
 from nvsf_core.reporting.html import higher_is_better as is_likeness
 from nvsf_core.reporting.scan_page.page import MOST_BYTES
 from nvsf_core.reporting.scene_notes import holds_paper_scene
@@ -60,8 +62,28 @@ def _read(path: Path) -> tuple[str, str]:
     return page, " ".join(" ".join(outline.text).split())
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _equal_plots_are_drawn_once() -> Iterator[None]:
+    """Most pages show the same two, which take more than half of a page's time."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("cost_error_png", "curve_png"):
+            patch.setattr(plots, name, _drawn_once(getattr(plots, name)))
+        yield
+
+
+def _drawn_once(draw: Callable[[object], bytes]) -> Callable[[object], bytes]:
+    drawn: dict[str, bytes] = {}
+
+    def png(asked: object) -> bytes:
+        if repr(asked) not in drawn:
+            drawn[repr(asked)] = draw(asked)
+        return drawn[repr(asked)]
+
+    return png
+
+
 def test_the_page_stands_alone_and_shows_model_and_baselines(tmp_path: Path) -> None:
-    write_street(tmp_path, "street")
+    write_street(tmp_path, "street", points_every=1)
     path = make_benchmark_report(tmp_path, ["street"], {}, [])
     assert path == tmp_path / "benchmark_report" / "index.html"
     page, text = _read(path)
