@@ -6,7 +6,6 @@ Reading gives what was written, or a StoreError. Zarr alone would read missing c
 import contextlib
 import math
 import os
-import stat
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import EllipsisType
@@ -148,8 +147,7 @@ def _require_chunks(path: Path, name: str, stored: Any) -> None:
     """
     chunk_bytes = math.prod(stored.chunks) * stored.dtype.itemsize
     expected = math.prod(-(-n // chunk) for n, chunk in zip(stored.shape, stored.chunks, strict=True))
-    files = [Path(folder) / file for folder, _, files in os.walk(path / name) for file in files]
-    sizes = [file.stat().st_size for file in files if file.name != _METADATA]
+    sizes = [file.stat().st_size for file in _files(path / name) if file.name != _METADATA]
     if len(sizes) != expected or expected > _MOST_CHUNKS:
         raise foreign(path, f"{name}: expected {expected} chunks, found {len(sizes)}")
     if max(sizes, default=0) > 2 * chunk_bytes + _HEADROOM_BYTES or chunk_bytes > _MOST_CHUNK_BYTES:
@@ -165,17 +163,23 @@ def _absent(path: Path) -> StoreError:
 def _open(path: Path) -> zarr.Group:
     if not path.is_dir():
         raise _absent(path)
-    for folder, _, files in os.walk(path):
-        for name in files:
-            # Opening a pipe would block for ever. (`walk` lists links to folders as folders, not as files.)
-            found = (Path(folder) / name).lstat()
-            if not stat.S_ISREG(found.st_mode):
-                raise foreign(path, f"expected regular files, found something else at {Path(folder) / name}")
-            if name == _METADATA and found.st_size > _HEADROOM_BYTES:
-                raise foreign(
-                    path, f"{Path(folder) / name}: expected metadata, found {found.st_size:,} bytes"
-                )
+    for file in _files(path):
+        # Opening a pipe would block for ever.
+        if not file.is_file(follow_symlinks=False):
+            raise foreign(path, f"expected regular files, found something else at {file.path}")
+        if file.name == _METADATA and file.stat().st_size > _HEADROOM_BYTES:
+            raise foreign(path, f"{file.path}: expected metadata, found {file.stat().st_size:,} bytes")
     return zarr.open_group(LocalFiles(path, read_only=True), mode="r")
+
+
+def _files(folder: str | Path) -> Iterator[os.DirEntry[str]]:
+    """All that is in a folder and those in it, but folders and links to some; unlike paths, cheap to ask."""
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if not entry.is_dir():
+                yield entry
+            elif not entry.is_symlink():
+                yield from _files(entry.path)
 
 
 @contextlib.contextmanager
