@@ -18,11 +18,16 @@ from nvsf_core.stages.runner.device_lock import device_lock
 from nvsf_core.stages.runner.stage import Stage, StageOutput
 from nvsf_core.stages.runner.trained import newest_field
 
-WITHOUT_DAGSTER = """
+OPEN3D_LIBRARIES = ("libEGL.so.1", "libGL.so.1", "libX11.so.6")
+BARE_RUN = """
 import json, sys
 sys.modules["dagster"] = None
 from nvsf_core.stages import run_scene
+from nvsf_core.stages.checks.registration import registration_check
+from tests.stages.checks.test_registration import street
 outcomes = run_scene("tiny", progress=lambda line: None)
+print(registration_check(street(0.0)).detail)
+print(next(outcome.metadata["mesh"] for outcome in outcomes if outcome.stage == "mesh"))
 print(json.dumps([[outcome.stage, outcome.skipped, outcome.path.is_dir()] for outcome in outcomes]))
 """
 
@@ -52,12 +57,24 @@ def entry(tiny_catalogue):
     return next(one for one in load_catalogue([tiny_catalogue], None) if one.name == "tiny")
 
 
-def test_the_whole_flow_runs_where_dagster_cannot_be_imported(run_process, tiny_catalogue, tmp_path):
+def test_the_whole_flow_runs_without_dagster_and_the_libraries_that_open3d_links_to(
+    run_process, tiny_catalogue, tmp_path
+):
+    slim = tmp_path / "slim"
+    slim.mkdir()
+    # An empty file in the loader's way is a library that cannot be loaded.
+    for name in OPEN3D_LIBRARIES:
+        (slim / name).touch()
     done = run_process(
-        sys.executable, "-c", WITHOUT_DAGSTER, NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(tmp_path)
-    )
+        sys.executable, "-c", BARE_RUN, NVSF_SCENES=str(tiny_catalogue), NVSF_HOME=str(tmp_path / "home"),
+        LD_LIBRARY_PATH=str(slim),
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == [[name, False, True] for name in STAGE_NAMES]
+    *said, outcomes = done.stdout.splitlines()
+    assert json.loads(outcomes) == [[name, False, True] for name in STAGE_NAMES]
+    assert len(said) == 2
+    for line in said:
+        assert line.startswith("not run: open3d cannot be loaded") and "apt-get install" in line
 
 
 def test_stages_run_in_order_and_once(entry, tmp_path):
