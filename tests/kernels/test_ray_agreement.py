@@ -45,7 +45,7 @@ def test_a_place_is_held_by_the_voxel_of_a_return_alone() -> None:
     index, _ = index_points(points_m, 0.5)
     asked_m = np.concatenate([points_m, rng.uniform(-14.0, 14.0, (4000, 3)).astype(np.float32)])
     place = np.floor((asked_m - index.origin_m) / index.voxel_m).astype(np.int64)
-    held = holds_points(asked_m, index)
+    held = holds_points(asked_m, index, 0)
     assert held[:400].all() and not held.all()
     assert np.array_equal(held, index.find(place) >= 0)
     around = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3), axis=-1).reshape(-1, 3)

@@ -39,9 +39,10 @@ def recorded(speed_m_s: float) -> tuple[np.ndarray, Lasers, SweepGrid]:
     points_m = rays.origin_m + rays.direction * range_m[:, None]
     shift_rad = (HDL_64E.phase_steps - HDL_64E.firing_shift_steps) * HDL_64E.step_rad
     up_m = HDL_64E.vertical_offset_m
+    # Picked by row, as of a recording: for a table's read-only arrays the kernel would be compiled once more.
     lasers = Lasers(
-        ROWS, HDL_64E.elevation_rad, up_m, up_m / np.cos(HDL_64E.elevation_rad), HDL_64E.horizontal_offset_m,
-        shift_rad, HDL_64E.elevation_correction_rad,
+        ROWS, HDL_64E.elevation_rad[ROWS], up_m[ROWS], up_m / np.cos(HDL_64E.elevation_rad),
+        HDL_64E.horizontal_offset_m[ROWS], shift_rad, HDL_64E.elevation_correction_rad,
     )  # fmt: skip
     rotation, position = path.at(time_s + ((np.arange(MOMENTS) + 0.5) / MOMENTS - 0.5) * PERIOD_S)
     shine = rng.uniform(0.0, 1.0, (len(ROWS), FIRINGS)).astype(np.float32)

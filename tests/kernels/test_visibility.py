@@ -35,7 +35,7 @@ def test_no_scan_sees_through_a_ceiling_between_or_beyond_its_lasers(height_m: f
     range_m = np.zeros(len(ELEVATION_RAD))
     range_m[ELEVATION_RAD > 0] = height_m / np.sin(ELEVATION_RAD[ELEVATION_RAD > 0])
     range_m[range_m > 70.0] = 0.0
-    images = np.broadcast_to(range_m[:, None], (SCANS, len(range_m), CELLS)).astype(np.float32)
+    images = np.tile(range_m.astype(np.float32)[:, None], (SCANS, 1, CELLS))
     elevation, azimuth = np.meshgrid(ELEVATION_RAD[range_m > 0], np.linspace(-np.pi, np.pi, CELLS))
     flat_m = (height_m / np.tan(elevation)).ravel()
     x, y = flat_m * np.cos(azimuth.ravel()), flat_m * np.sin(azimuth.ravel())

@@ -310,9 +310,10 @@ class NearHitPriors:
         if len(self.scans) == 0:
             return np.ones(len(place_o), np.float32)
         hit_priors, table, prior = self.hit_priors, self.hit_priors.table, self.hit_priors.prior
+        # Copies: for the read-only arrays of a sensor's own table the kernel would be compiled once more.
         lasers = FiringLasers(
-            hit_priors.elevation_correction_rad, hit_priors.lasers.astype(np.int64), table.elevation_rad,
-            table.vertical_offset_m, table.horizontal_offset_m,
+            hit_priors.elevation_correction_rad, hit_priors.lasers.astype(np.int64),
+            table.elevation_rad.copy(), table.vertical_offset_m.copy(), table.horizontal_offset_m.copy(),
             (table.phase_steps - table.firing_shift_steps) * table.step_rad,
         )  # fmt: skip
         found: np.ndarray = share_of_scans(

@@ -94,6 +94,6 @@ def test_where_in_its_row_a_pixel_lies_makes_no_difference() -> None:
     whole = on_planes(places, guess, near)
     moved = places[:, 100:].copy()
     moved[..., 1] -= 100.0
-    part = on_planes(moved, guess[:, 100:], near[:, 100:])
+    part = on_planes(moved, guess[:, 100:].copy(), near[:, 100:].copy())
     assert (whole != guess).mean() > 0.3
     np.testing.assert_allclose(part[:, 3:], whole[:, 103:], atol=1e-6)

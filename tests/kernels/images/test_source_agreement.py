@@ -73,6 +73,6 @@ def test_the_smallest_windows_pass() -> None:
     colour, seen = grey()
     small = source_trust(
         np.ascontiguousarray(colour[..., :2, :2]), np.ascontiguousarray(seen[..., :2, :2]),
-        LIKELIEST[:2, :2], AROUND[:, :2, :2], WEIGHT,
+        LIKELIEST[:2, :2].copy(), AROUND[:, :2, :2].copy(), WEIGHT,
     )  # fmt: skip
     assert small.shape == (DEPTHS * SOURCES + 1, 2, 2) and np.isfinite(small).all() and (small > 0.0).all()
