@@ -96,6 +96,21 @@ def tiny_catalogue(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "scenes.toml"
 
 
+@pytest.fixture(scope="module")
+def without_lpips_and_mesh() -> Iterator[None]:
+    """They take most of a tiny scene's time; a user without LPIPS's weights and open3d has none either."""
+    from nvsf_core.errors import MissingLibraryError
+    from nvsf_core.stages import mesh, scene_metrics
+
+    def missing(*_: object, **__: object) -> None:
+        raise MissingLibraryError("left out by this test")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scene_metrics, "load_lpips", lambda: None)
+        patch.setattr(mesh, "poisson_mesh", missing)
+        yield
+
+
 @pytest.fixture(scope="session")
 def run_process() -> Iterator[Callable[..., subprocess.CompletedProcess[str]]]:
     """Run a command in the repository, with the given variables and none of the user's shell."""

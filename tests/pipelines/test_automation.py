@@ -23,6 +23,7 @@ from pipelines.definitions import defs
 from pipelines.sensors import new_drives, scenes_follow
 from tests.conftest import TINY_CATALOGUE
 
+pytestmark = pytest.mark.usefixtures("without_lpips_and_mesh")
 SEQUENCE = "2013_05_28_drive_9900_sync"
 LANE = f"""
 [[scene]]

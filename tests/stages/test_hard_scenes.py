@@ -1,7 +1,7 @@
 """Scenes that break things, through the real stages: a result that states its doubt, or a useful error."""
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,15 +13,16 @@ from nvsf_core.demo.cameras import LIDAR_TO_POSE
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
-from nvsf_core.errors import DataError, DivergedError, MissingLibraryError
+from nvsf_core.errors import DataError, DivergedError
 from nvsf_core.models.residual import lidar as residual_lidar
 from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
 from nvsf_core.sensors.tables import HDL_64E
-from nvsf_core.stages import Outcome, mesh, plan_run, run_named_stage, scene_metrics
+from nvsf_core.stages import Outcome, plan_run, run_named_stage
 from nvsf_core.stages.inputs import read_evidence
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
 
+pytestmark = pytest.mark.usefixtures("without_lpips_and_mesh")
 UP_TO_EVIDENCE = ("frames", "sweeps", "pano", "undistorted", "evidence")
 WHOLE = (*UP_TO_EVIDENCE, "mesh", "field", "novel_views", "scene_metrics")
 _GRID = FieldSpec(levels=2, log2_table=8)
@@ -35,19 +36,6 @@ SIZE = replace(DemoSize.tiny(), lasers=tuple(range(0, 64, 2)), firings=256)
 """Dense enough that an unbroken drive passes the checks that broken ones are told by."""
 FAR_M = (5e6, -5e6, 5e6)
 SHAPES = ("neighbouring_scans_agree_with_their_poses", "lasers_are_known", "no_two_returns_share_a_firing")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _without_lpips_and_mesh() -> Iterator[None]:
-    """They take most of a tiny scene's time; a user without LPIPS's weights and open3d has none either."""
-
-    def missing(*_: object, **__: object) -> None:
-        raise MissingLibraryError("left out by this test")
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scene_metrics, "load_lpips", lambda: None)
-        patch.setattr(mesh, "poisson_mesh", missing)
-        yield
 
 
 @pytest.fixture(scope="module")
