@@ -81,7 +81,7 @@ def test_a_timed_paper_recipe_has_curves_for_both_sensors(setting, monkeypatch):
     small = replace(smoke, name="paper_cpu", optimiser=replace(smoke.optimiser, steps=100_000))
     monkeypatch.setattr(curve_run, "chosen_size", lambda *_: small)
     monkeypatch.setattr(curve_run, "_PROBE_STEPS", 4)
-    brief = replace(setting, marks_s=(1.5,))
+    brief = replace(setting, marks_s=(0.5, 1.5))
     result = read_result(curve_run.run(brief, "paper_cpu", 0))
     at_end = {point["metric"] for point in result["points"] if point["mark"] is None}
     assert {"chamfer_m2", "image_psnr_db"} <= at_end
