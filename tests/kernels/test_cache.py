@@ -48,9 +48,8 @@ def test_another_kernel_s_change_gives_all_of_them_another_folder(tmp_path: Path
 def test_compiled_kernels_refer_to_no_module_but_those_that_decide_on_their_folder() -> None:
     index = voxels.index_points(np.zeros((1, 3), np.float32), 0.2)[0]
     ray = np.array([[1.0, 0.0, 0.0]], np.float32)
-    count_passes(
-        ray, ray, np.ones(1, np.float32), index, np.zeros((1, 3), np.float32), np.zeros((0, 6), np.float32)
-    )
+    none = np.zeros((1, 3), np.float32)
+    count_passes(ray, ray, np.ones(1, np.float32), index, none, none, np.zeros((0, 6), np.float32))
     kept = list(COMPILED.rglob("*.nbi"))
     assert kept
     named = {name for path in kept for name in re.findall(rb"nvsf_core(?:\.\w+)+", path.read_bytes())}
