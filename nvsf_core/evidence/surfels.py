@@ -170,7 +170,7 @@ def build_both(
 
     With shapes a ray passes through a voxel only where it comes as near to the voxel's returns as one of them
     would: a wall stays opaque beside a gap. `reproject` needs them; a field learns less from them (decision
-    0013).
+    0058).
 
     Args:
         origin_m: (n, 3) scene-local, metres.
@@ -196,7 +196,6 @@ class _Returns:
     intensity: np.ndarray
     """(v,) float32."""
 
-    # Wide: as of `build_surfels`.
     @staticmethod
     def of(
         origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray, intensity: np.ndarray,
