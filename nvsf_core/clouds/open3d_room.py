@@ -32,13 +32,21 @@ def load_open3d() -> Any:
 
 def _first_import() -> Any:
     _preload_libusb()
-    # Drawing brings dash, plotly and IPython, which take longer than all else of open3d. Who imports it later
-    # by its full name gets it.
+    # Drawing brings dash, plotly and IPython, which take longer than all else of open3d.
     sys.modules[_DRAWING] = ModuleType(_DRAWING)
     try:
-        return importlib.import_module("open3d")
+        open3d = importlib.import_module("open3d")
     finally:
         sys.modules.pop(_DRAWING, None)
+    # Others in this process may draw: they get it when they ask.
+    vars(open3d)["__getattr__"] = _drawing_when_asked
+    return open3d
+
+
+def _drawing_when_asked(name: str) -> ModuleType:
+    if f"open3d.{name}" != _DRAWING:
+        raise AttributeError(f"module 'open3d' has no attribute {name!r}")
+    return importlib.import_module(_DRAWING)
 
 
 def _preload_libusb() -> None:

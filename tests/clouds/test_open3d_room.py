@@ -11,14 +11,15 @@ import sys
 from nvsf_core.clouds.open3d_room import load_open3d
 assert load_open3d().geometry.PointCloud and load_open3d() is sys.modules["open3d"]
 print("dash" in sys.modules)
-import open3d.visualization
-print(open3d.visualization.draw_plotly.__name__)
+{asks}
+print(open3d.visualization.draw_plotly.__name__, hasattr(open3d, "nothing_of_this_name"))
 """
 
 
 @pytest.mark.usefixtures("open3d")
+@pytest.mark.parametrize("asks", ["import open3d", "import open3d.visualization"])
 def test_drawing_is_loaded_only_where_it_is_asked_for(
-    run_process: Callable[..., CompletedProcess[str]],
+    run_process: Callable[..., CompletedProcess[str]], asks: str
 ) -> None:
-    done = run_process(sys.executable, "-c", _LOADS)
-    assert done.stdout.split() == ["False", "draw_plotly"], done.stderr
+    done = run_process(sys.executable, "-c", _LOADS.replace("{asks}", asks))
+    assert done.stdout.split() == ["False", "draw_plotly", "False"], done.stderr
