@@ -24,8 +24,8 @@ def _from_root(text: str) -> str:
     text = text.replace("](CONTRIBUTING.md)", "](contributing.md)").replace(
         "](decisions)", "](decisions/index.md)"
     )
-    # Other files of the checkout are not part of the site.
-    return re.sub(r"\[([^\]]*)\]\((?!https?:|[a-z_/]+\.md|#)[^)]*\)", r"\1", text)
+    # Other files of the checkout are not part of the site; pictures of the pages are.
+    return re.sub(r"(?<!!)\[([^\]]*)\]\((?!https?:|[a-z_/]+\.md|#)[^)]*\)", r"\1", text)
 
 
 def _api() -> list[str]:
