@@ -21,7 +21,7 @@ from nvsf_core.recipe import FieldSpec
 
 _STOP_TRANSMITTANCE, _FAINTEST = 0.02, 0.005
 """Limits of a field's rays, see `WalkLimits`. What lies behind nearly all of the light, or stops hardly any,
-is a seventh to a sixth of all surfaces, and correcting it made no error smaller (docs/lean.md)."""
+is a seventh to a sixth of all surfaces, and correcting it made no error smaller (docs/lean_trials.md)."""
 
 
 def object_places(paths: tuple[MovingObject, ...], bounds: Bounds, gap_m: float) -> np.ndarray:

@@ -23,7 +23,7 @@ from nvsf_core.recipe.paper import (
 from nvsf_core.recipe.residual import HitsSpec, PanoSpec, ResidualRecipe, TrainingSpec
 
 _QUICK = ResidualRecipe(name="quick")
-# As quick, but with nearly five times the LiDAR's steps; more make its hits worse (docs/lean.md). Of the
+# As quick, but with nearly five times the LiDAR's steps; more make its hits worse (decision 0036). Of the
 # images, aligned poses give most; more steps of their depth network nothing (decision 0050).
 _LEAN = replace(
     _QUICK,

@@ -15,7 +15,7 @@ from scipy.special import expit
 
 _HIT_THRESHOLD = 0.4
 """Below one half, as the two errors do not cost the same: a missing return leaves a hole, one too many mostly
-lies among others on the same surface (docs/lean.md)."""
+lies among others on the same surface (docs/lean_trials.md)."""
 _EVEN_CHANCE = 0.5
 """Of a pair of rays, and of the papers' panos, whose metrics take a probability above it for a return."""
 SAMPLING_SHARPNESS = 3.0

@@ -41,7 +41,7 @@ SHOWS_FIELD = "lidar_shows_field"
 """Name of the fact: whether the field beat `reproject` on the validation scans."""
 _EPOCHS, _RAYS_AN_EPOCH = 2.5, 660_000
 """How often a ray is learned from at most: 2.5 times, or once for each so many rays if that is more. A field
-that sees few rays again and again learns them by heart, most of all which of them dropped (docs/lean.md)."""
+that sees few rays again and again learns them by heart, most of all which of them dropped (decision 0054)."""
 _ENOUGH_STEPS, _FEWEST_A_STEP = 850, 1024
 """Where rays make fewer steps, a step takes fewer, down to so many: surfaces want steps (decision 0054)."""
 
