@@ -5,8 +5,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.common import documents
-from benchmarks.common.documents import commit, markdown_table, write_between
-from benchmarks.common.stored import write_measured
 from nvsf_core.stages.runner.host import machine
 
 Row = Mapping[str, Any]
@@ -15,13 +13,14 @@ _LONGEST_HOW = 90
 
 def write_document_of(rows: Sequence[Row], seed: int, minutes: float, *, keep: bool) -> None:
     """Store what happened, and write the tables of the document."""
-    path = documents.RESULTS / "chaos.json"
+    path = documents.RESULTS_DIR / "chaos.json"
     before = json.loads(path.read_text()) if keep and path.is_file() else {"rounds": [], "rows": []}
-    this = {"commit": commit(), "seed": seed, "minutes": minutes, "events": len(rows)}
+    this = {"commit": documents.commit(), "seed": seed, "minutes": minutes, "events": len(rows)}
     facts = {"rounds": [*before["rounds"], this], "rows": [*before["rows"], *map(dict, rows)]}
-    write_measured(path, facts)
-    write_between(documents.DOCS / "chaos.md", "events", head(facts["rounds"]) + counts(facts["rows"]))
-    write_between(documents.DOCS / "chaos.md", "each", each(facts["rows"]))
+    documents.write_measured(path, facts)
+    page = documents.DOCS / "chaos.md"
+    documents.write_between(page, "events", head(facts["rounds"]) + counts(facts["rows"]))
+    documents.write_between(page, "each", each(facts["rows"]))
 
 
 def head(rounds: Sequence[Row]) -> str:
@@ -41,7 +40,7 @@ def counts(rows: Sequence[Row]) -> str:
         for event, what in sorted(kinds.items(), key=lambda one: one[1])
     ]
     lines.append(["all", len(rows), sum(bool(row["faults"]) for row in rows)])
-    return markdown_table(["event", "times", "with a fault"], lines, "| --- | ---: | ---: |")
+    return documents.markdown_table(["event", "times", "with a fault"], lines, "| --- | ---: | ---: |")
 
 
 def _faulty(rows: Sequence[Row], event: str) -> int:
@@ -54,7 +53,8 @@ def each(rows: Sequence[Row]) -> str:
         [number, row["event"], row["how"][:_LONGEST_HOW], f"{row['seconds']:.0f}", _outcome(row)]
         for number, row in enumerate(rows, start=1)
     ]
-    return markdown_table(["", "event", "how", "s", "outcome"], lines, "| ---: | --- | --- | ---: | --- |")
+    titles = ["", "event", "how", "s", "outcome"]
+    return documents.markdown_table(titles, lines, "| ---: | --- | --- | ---: | --- |")
 
 
 def _outcome(row: Row) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmarks.chaos.processes import Forked, Running
-from benchmarks.common import documents
+from benchmarks.common.documents import ROOT
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.drives.kitti360.layout import DriveLayout
@@ -82,7 +82,7 @@ class World:
             "NVSF_HOME": str(self.home), "DAGSTER_HOME": str(self.instance), "NVSF_THREADS": "1",
             "NVSF_SCENES": str(self.folder / "scenes.toml"), "SEED": str(self.seed), "SCENES": SCENE,
             "DAGSTER_MODULE_NAME": "pipelines.definitions", "DAGSTER_DISABLE_TELEMETRY": "1",
-            "PYTHONPATH": str(documents.ROOT), "PYTHONWARNINGS": "ignore", "NVSF_EXECUTOR": "in_process",
+            "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "ignore", "NVSF_EXECUTOR": "in_process",
             **more,
         }  # fmt: skip
 
@@ -147,7 +147,7 @@ def made_world(folder: Path, *, bare: bool = False) -> Iterator[World]:
         world.pristine = {path.relative_to(folder / "drive").as_posix(): path.read_bytes() for path in files}
         if not bare:
             world.instance.mkdir()
-            shutil.copy(documents.ROOT / "pipelines" / "dagster.yaml", world.instance)
+            shutil.copy(ROOT / "pipelines" / "dagster.yaml", world.instance)
         yield world
     finally:
         if has_disk:

@@ -12,14 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common.documents import DOCS, commit, markdown_table, write_between
+from benchmarks.common.documents import DOCS, markdown_table, measured_on, write_between
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.drives.view_entry import EXPORTS, ViewEntry
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import write_data_set
-from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import SceneRun, find_scene, plan_run
 from nvsf_core.stages.views.instances import boxes_of
 from nvsf_core.stores.arrays import read_arrays, read_attrs
@@ -36,7 +35,7 @@ def main() -> None:
         run = plan_run(find_scene(name), home, recipe=recipe)
         rows += format_rows(run, view)
     head = ["scene", "view", "frames", "cameras", "format", "seconds a frame", "MB a frame"]
-    text = f"{machine()}; commit {commit()}.\n\n" + markdown_table(head, rows)
+    text = measured_on() + markdown_table(head, rows)
     print(text)
     write_between(PAGE, "formats", text)
 

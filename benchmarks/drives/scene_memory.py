@@ -17,13 +17,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import documents
-from benchmarks.common.documents import commit, markdown_table, write_between
-from benchmarks.common.stored import write_measured
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.demo.motion import FRAME_PERIOD_S, EgoSpeed
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.stages import plan_run, run_named_stage
-from nvsf_core.stages.runner.host import machine
 
 _CAMERAS = ("image_00", "image_01", "image_02")
 _SPEEDS_M_S = (9.0, 2.25)
@@ -74,9 +71,9 @@ def main(words: list[str]) -> None:
             peaks = {f"{stage}_mb": _peak_mb(stage, drives, number) for stage in _MEASURED}
             rows.append({"frames": one.frames, "cameras": one.cameras, "metres": one.metres, **peaks})
             print(rows[-1], flush=True)
-    write_measured(documents.RESULTS / "scene_memory.json", {"rows": rows})
-    head = f"{machine()}; commit {commit()}.\n\n"
-    write_between(documents.DOCS / "scaling.md", "memory", head + document(rows))
+    documents.write_measured(documents.RESULTS_DIR / "scene_memory.json", {"rows": rows})
+    head = documents.measured_on()
+    documents.write_between(documents.DOCS / "scaling.md", "memory", head + document(rows))
 
 
 def document(rows: list[dict[str, Any]]) -> str:
@@ -97,7 +94,7 @@ def document(rows: list[dict[str, Any]]) -> str:
         f"{image_mb:.1f} for each image of some 0.13 megapixels, {metre_mb:.1f} for each metre of "
         "the path: least squares over the rows.\n"
     )
-    return markdown_table(head, lines, "|" + " ---: |" * len(head)) + words
+    return documents.markdown_table(head, lines, "|" + " ---: |" * len(head)) + words
 
 
 def fit(rows: list[dict[str, Any]]) -> list[float]:

@@ -15,9 +15,7 @@ from typing import Any
 
 import torch
 
-from benchmarks.common import documents
-from benchmarks.common.documents import commit
-from benchmarks.common.stored import write_json
+from benchmarks.common.documents import DOCS, RESULTS_DIR, commit, write_json
 from benchmarks.gpu.document import PARTS, page
 from benchmarks.gpu.kernels import kernel_rows
 from benchmarks.gpu.paper import step_rows, training_rows
@@ -38,7 +36,7 @@ def main() -> None:
     parser.add_argument("--smoke", action="store_true", help="tiny, on any machine")
     parser.add_argument("--to", type=Path, help="folder of gpu.json and gpu.md, default: the checkout's")
     arguments = parser.parse_args()
-    results, document = documents.RESULTS / "gpu.json", documents.DOCS / "gpu.md"
+    results, document = RESULTS_DIR / "gpu.json", DOCS / "gpu.md"
     if arguments.to or arguments.smoke:
         folder = arguments.to or Path(tempfile.mkdtemp(prefix="gpu_smoke_"))
         results, document = folder / "gpu.json", folder / "gpu.md"

@@ -16,9 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common import documents
-from benchmarks.common.documents import commit, write_between
-from benchmarks.common.stored import Row, write_measured
+from benchmarks.common.documents import DOCS, RESULTS_DIR, Row, commit, write_between, write_measured
 from benchmarks.hostile.limits import GIGABYTES, SECONDS, run_limited
 from benchmarks.hostile.subjects import Templates
 from benchmarks.hostile.table import FAULTS, counts, silent
@@ -82,13 +80,13 @@ def _write(seed: int, minutes: float, rows: list[Row]) -> None:
         "limits": {"seconds": SECONDS, "gigabytes": GIGABYTES},
         "told": [{key: row[key] for key in ("subject", "harmed", "how", "kind")} for row in told],
     }  # fmt: skip
-    write_measured(documents.RESULTS / "hostile.json", facts)
+    write_measured(RESULTS_DIR / "hostile.json", facts)
     head = (
         f"{machine()}; commit {commit()}; seed {seed}; each case "
         f"has {SECONDS:.0f} s and {GIGABYTES:g} GB; {minutes:.0f} minutes.\n\n"
     )
-    write_between(documents.DOCS / "safety.md", "cases", head + counts(rows))
-    write_between(documents.DOCS / "safety.md", "silent", silent(rows))
+    write_between(DOCS / "safety.md", "cases", head + counts(rows))
+    write_between(DOCS / "safety.md", "silent", silent(rows))
 
 
 if __name__ == "__main__":

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common.documents import ROOT
-from benchmarks.common.stored import write_measured
+from benchmarks.common.documents import ROOT, write_measured
 from benchmarks.kernels.voxel_walk_table import WALK_RESULTS
 from benchmarks.tables.results_table import write
 from nvsf_core.drives.catalogue import home_from_environment

@@ -9,14 +9,12 @@ import warnings
 from collections.abc import Sequence
 from importlib import import_module
 
-from benchmarks.common import documents
-from benchmarks.common.documents import commit
-from benchmarks.common.stored import write_measured
+from benchmarks.common.documents import DOCS, RESULTS_DIR, commit, write_measured
 from benchmarks.numerics.cases.case import NOT_APPLICABLE, Case, Reading
 from nvsf_core.stages.runner.host import machine
 
-RESULTS = documents.RESULTS / "stability.json"
-DOCUMENT = documents.DOCS / "numerical_stability.md"
+RESULTS = RESULTS_DIR / "stability.json"
+DOCUMENT = DOCS / "numerical_stability.md"
 THEMES = ("rays", "evidence", "encoders", "shifted_drives", "geometry", "panorama", "metrics", "training")
 _HEAD = """# Numerical stability on hard cases
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common.compared import SHARE, scan_of
-from benchmarks.common.stored import Row, read_rows, write_rows
+from benchmarks.common.documents import Row, read_rows, write_rows
 from benchmarks.paper.ablation_scoring import (
     IMAGE_STEP,
     Scene,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common.compared import QuarterPano, block_colours, block_means, recorded_scan
-from benchmarks.common.stored import Row
+from benchmarks.common.documents import Row
 from nvsf_core.errors import DataError
 from nvsf_core.metrics.foreground import lidar4d_regions
 from nvsf_core.metrics.image import image_metrics

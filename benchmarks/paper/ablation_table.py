@@ -2,14 +2,12 @@
 
 from statistics import fmean, stdev
 
-from benchmarks.common import documents
-from benchmarks.common.documents import commit, markdown_table
-from benchmarks.common.stored import Row, read_rows
+from benchmarks.common.documents import DOCS, RESULTS_DIR, Row, commit, markdown_table, read_rows
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.stages.runner.host import machine
 
-RESULTS = documents.RESULTS / "ablation.json"
-DOCUMENT = documents.DOCS / "ablation.md"
+RESULTS = RESULTS_DIR / "ablation.json"
+DOCUMENT = DOCS / "ablation.md"
 
 _VARIANTS = {
     "paper_cpu_bl": "BL", "paper_cpu_bl_hs": "BL + HS", "paper_cpu_bl_fa": "BL + FA",

@@ -15,9 +15,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from benchmarks.common import documents
-from benchmarks.common.documents import markdown_table, write_between
-from benchmarks.common.stored import write_measured
+from benchmarks.common.documents import RESULTS_DIR, markdown_table, write_between, write_measured
 from benchmarks.paper.flow_truth import SURFACES, TrueMotion, scene_cube, true_motions
 from benchmarks.paper.parameters import DOCUMENT
 from nvsf_core.drives.catalogue import home_from_environment
@@ -37,7 +35,7 @@ from nvsf_core.stages.runner.run import (
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.demo_truth import read_demo_truth
 
-RESULTS = documents.RESULTS / "flow.json"
+RESULTS = RESULTS_DIR / "flow.json"
 STATIC_TARGET_M = 0.03
 
 Displacements = Callable[[TrueMotion], tuple[np.ndarray, np.ndarray]]

@@ -13,12 +13,10 @@ from typing import Literal
 import torch
 
 from benchmarks.common import documents
-from benchmarks.common.documents import markdown_table, write_between
-from benchmarks.common.stored import read_rows, write_json
 from nvsf_core.losses.gradient import BAND_EDGES_M, gradient_mask, mask_coverage
 from nvsf_core.stores.arrays import read_arrays
 
-RESULTS = documents.RESULTS / "gradient_mask.json"
+RESULTS = documents.RESULTS_DIR / "gradient_mask.json"
 DOCUMENT = documents.DOCS / "paper_fidelity.md"
 MASKS: tuple[tuple[Literal["double", "single"], float], ...] = (
     ("double", 0.05),
@@ -57,7 +55,7 @@ def table(rows: list[dict[str, object]]) -> str:
         about = [row["scene"], row["grid"], row["axis"], row["mask"], f"{row['threshold_m']} m"]
         lines.append([*about, *cells])
     head = ["scene", "grid", "along", "mask", "threshold", *bands]
-    return markdown_table(head, lines, "|---|---|---|---|---|" + "---:|" * len(bands))
+    return documents.markdown_table(head, lines, "|---|---|---|---|---|" + "---:|" * len(bands))
 
 
 def main() -> None:
@@ -68,9 +66,9 @@ def main() -> None:
     arguments = parser.parse_args()
     rows = [row for pano in arguments.pano for row in coverage_rows(pano, arguments.grid)]
     if rows:
-        write_json(RESULTS, rows)
-    text = table(read_rows(RESULTS))
-    write_between(DOCUMENT, "gradient_mask", text)
+        documents.write_json(RESULTS, rows)
+    text = table(documents.read_rows(RESULTS))
+    documents.write_between(DOCUMENT, "gradient_mask", text)
     print(text, end="")
 
 

@@ -12,8 +12,6 @@ import time
 import torch
 
 from benchmarks.common import documents
-from benchmarks.common.documents import commit, markdown_table, write_between
-from benchmarks.common.stored import read_rows, write_json
 from benchmarks.paper.ablation import prepared_recording
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.models.family import training_device
@@ -25,7 +23,7 @@ from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import find_scene
 from nvsf_core.training.adam import Adam
 
-RESULTS = documents.RESULTS / "paper_step.json"
+RESULTS = documents.RESULTS_DIR / "paper_step.json"
 DOCUMENT = documents.DOCS / "paper_fidelity.md"
 
 
@@ -34,7 +32,7 @@ def measure(scene: str, steps: int) -> dict[str, object]:
     recipe = PaperRecipe(name="paper")
     _, recording = prepared_recording(find_scene(scene), recipe, home_from_environment(os.environ))
     found = iterations(recipe, training_frames(recipe, recording), steps)
-    return {"scene": scene, "iterations": steps, **found, "machine": machine(), "commit": commit()}
+    return {"scene": scene, "iterations": steps, **found, "machine": machine(), "commit": documents.commit()}
 
 
 def iterations(recipe: PaperRecipe, frames: PaperFrames, steps: int) -> dict[str, object]:
@@ -81,10 +79,10 @@ def table() -> str:
             f"{row['seconds']:.1f}", f"{row['rays_per_s']:.0f}",
             f"{row['peak_gpu_mb'] or row['peak_memory_mb']:.0f}", row["machine"], row["commit"],
         ]
-        for row in read_rows(RESULTS)
+        for row in documents.read_rows(RESULTS)
     ]  # fmt: skip
     head = ["scene", "rays x samples", "loss terms", "s each", "rays/s", "peak MB", "machine", "commit"]
-    return markdown_table(head, rows, "| --- | --- | --- | ---: | ---: | ---: | --- | --- |")
+    return documents.markdown_table(head, rows, "| --- | --- | --- | ---: | ---: | ---: | --- | --- |")
 
 
 def main() -> None:
@@ -95,9 +93,9 @@ def main() -> None:
     arguments = parser.parse_args()
     row = measure(arguments.scene, arguments.steps)
     key = (row["scene"], row["machine"])
-    others = [one for one in read_rows(RESULTS) if (one["scene"], one["machine"]) != key]
-    write_json(RESULTS, [*others, row])
-    write_between(DOCUMENT, "paper_step", table())
+    others = [one for one in documents.read_rows(RESULTS) if (one["scene"], one["machine"]) != key]
+    documents.write_json(RESULTS, [*others, row])
+    documents.write_between(DOCUMENT, "paper_step", table())
     print(table(), end="")
 
 

@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.common import documents
-from benchmarks.common.stored import write_whole
+from benchmarks.common.documents import RESULTS_DIR, write_whole
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import DataError
 from nvsf_core.stores.scene_store import SceneStore
 
-RESULTS = documents.RESULTS / "curves"
+RESULTS = RESULTS_DIR / "curves"
 MARKS_S = (5.0, 15.0, 30.0, 60.0, 120.0, 300.0, 600.0)
 """Seconds of training at which errors are logged; the end is always."""
 FULL, VAL = "full", "val"

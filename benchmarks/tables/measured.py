@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from benchmarks.common.stored import Row
+from benchmarks.common.documents import Row
 from nvsf_core.metrics.table import BASELINES, HELD_OUT, method_rank
 
 LOWER, HIGHER = "↓", "↑"

@@ -4,8 +4,7 @@ import math
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
-from benchmarks.common.documents import markdown_table
-from benchmarks.common.stored import Row
+from benchmarks.common.documents import Row, markdown_table
 from benchmarks.tables.measured import (
     HIGHER,
     LOWER,

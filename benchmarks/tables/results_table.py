@@ -16,8 +16,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common.documents import ROOT, markdown_table, write_between
-from benchmarks.common.stored import Row, write_json
+from benchmarks.common.documents import ROOT, Row, markdown_table, write_between, write_json
 from benchmarks.kernels.voxel_walk_table import walk_table
 from benchmarks.tables.measured import Column, by_method, cell, commits_of, rank
 from benchmarks.tables.results_document import as_document

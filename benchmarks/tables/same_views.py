@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from benchmarks.common.stored import Row
+from benchmarks.common.documents import Row
 from nvsf_core.metrics.table import BASELINES, HELD_OUT
 
 _NEWEST = BASELINES[0]

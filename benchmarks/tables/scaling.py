@@ -14,12 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import documents
-from benchmarks.common.documents import commit, markdown_table, write_between
-from benchmarks.common.stored import write_measured
 from nvsf_core.drives.catalogue import home_from_environment, load_catalogue
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.reporting.scene_outputs import measured_scenes
-from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.record import RECORD_NAME, read_record
 from nvsf_core.stores.scene_store import published
 from nvsf_core.stores.tables import read_rows
@@ -52,11 +49,11 @@ def main() -> None:
         "seconds": {recipe: _seconds(recipe, scenes) for recipe in _RECIPES},
         "watching": [_watching(count) for count in COUNTS],
     }  # fmt: skip
-    write_measured(documents.RESULTS / "scaling.json", facts)
-    head = f"{machine()}; commit {commit()}.\n\n"
-    write_between(documents.DOCS / "scaling.md", "one", head + one_scene(scenes))
-    write_between(documents.DOCS / "scaling.md", "many", many_scenes(facts))
-    write_between(documents.DOCS / "scaling.md", "watching", watching(facts["watching"]))
+    documents.write_measured(documents.RESULTS_DIR / "scaling.json", facts)
+    head = documents.measured_on()
+    documents.write_between(documents.DOCS / "scaling.md", "one", head + one_scene(scenes))
+    documents.write_between(documents.DOCS / "scaling.md", "many", many_scenes(facts))
+    documents.write_between(documents.DOCS / "scaling.md", "watching", watching(facts["watching"]))
 
 
 def _taken(home: Path, scene: str) -> Row:
@@ -93,7 +90,7 @@ def _seconds(recipe: str, scenes: list[Row]) -> float:
 
 def _train_seconds(recipe: str, scenes: list[Row]) -> float:
     """Mean over what is stored of the same scenes."""
-    found = json.loads((documents.RESULTS / "recipes" / f"{recipe}.json").read_text())["rows"]
+    found = json.loads((documents.RESULTS_DIR / "recipes" / f"{recipe}.json").read_text())["rows"]
     names = {one["scene"] for one in scenes}
     seconds = [row["train_seconds"] for row in found if row["scene"] in names]
     return float(sum(seconds) / len(seconds))
@@ -121,7 +118,7 @@ def one_scene(scenes: Iterable[Row]) -> str:
     head = ["scene", "frames", "memory MB", "disk MB", "of it a version of its data sets"]
     keys = ("memory_mb", "disk_mb", "dataset_mb")
     lines = [[f"`{one['scene']}`", one["frames"], *(f"{one[key]:,.0f}" for key in keys)] for one in scenes]
-    return markdown_table(head, lines, "| --- |" + " ---: |" * (len(head) - 1))
+    return documents.markdown_table(head, lines, "| --- |" + " ---: |" * (len(head) - 1))
 
 
 def many_scenes(facts: Row) -> str:
@@ -149,7 +146,7 @@ def many_scenes(facts: Row) -> str:
         f"{memory_gb:.1f} GB of memory for it. The cost is at {price:g} for a core and hour. A version "
         "is that of all data sets of a scene; each week's regeneration adds one.\n"
     )
-    return markdown_table(head, lines, "| --- |" + " ---: |" * (len(head) - 1)) + words
+    return documents.markdown_table(head, lines, "| --- |" + " ---: |" * (len(head) - 1)) + words
 
 
 def watching(rows: Iterable[Row]) -> str:
@@ -159,7 +156,7 @@ def watching(rows: Iterable[Row]) -> str:
         [f"{row['scenes']:,}", row["files"], f"{row['read_seconds']:.2f}", f"{row['look_seconds']:.2f}"]
         for row in rows
     ]
-    return markdown_table(head, lines, "|" + " ---: |" * len(head))
+    return documents.markdown_table(head, lines, "|" + " ---: |" * len(head))
 
 
 if __name__ == "__main__":

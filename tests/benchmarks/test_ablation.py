@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.common.compared import block_colours
-from benchmarks.common.stored import read_rows
+from benchmarks.common.documents import read_rows
 from benchmarks.paper.ablation_scoring import IMAGE_STEP, Scene, baseline_rows, score_image
 from benchmarks.paper.ablation_table import RESULTS
 from nvsf_core.drives.catalogue import load_catalogue
