@@ -9,6 +9,7 @@ from nvsf_core.demo.street import Material
 from nvsf_core.demo.world import HORIZON_M, DemoHits, DemoWorld
 from nvsf_core.drives.kitti360.writer import RectifiedCamera
 from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import exp_so3, invert_pose, pose_from_parts
 
 BASELINE_M = 0.6
@@ -68,7 +69,7 @@ def demo_perspective(name: str, width: int, height: int) -> DemoCamera:
     position = np.array([1.57, -0.04, -0.62]) + rotation @ (baseline, 0.0, 0.0)
     image_to_pose = pose_from_parts(rotation, position)
     rectification = _RECTIFICATIONS[name]
-    model = RectifiedCamera(width, height, focal, cx, cy, baseline, rectification)
+    model = RectifiedCamera(Pinhole(focal, focal, cx, cy, width, height), baseline, rectification)
     camera_to_pose = image_to_pose @ pose_from_parts(rectification, np.zeros(3))
     return DemoCamera(name, model, image_to_pose, camera_to_pose, directions, np.ones(len(u), bool))
 
@@ -118,7 +119,8 @@ def render_image(
     pose = lidar @ invert_pose(LIDAR_TO_POSE) @ camera.image_to_pose
     directions = (camera.directions @ pose[:3, :3].T).astype(np.float32)
     origins = np.broadcast_to(pose[:3, 3].astype(np.float32), directions.shape)
-    height, width = camera.model.height, camera.model.width
+    model = camera.model.pinhole if isinstance(camera.model, RectifiedCamera) else camera.model
+    height, width = model.height, model.width
     tiles = tile_index(height, width, 8)
     hits = world.cast_in_street(origins, directions, np.full(len(directions), time_s), tiles)
     rgb = _shade(hits, directions) * camera.seen[:, None]

@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,10 +15,10 @@ from nvsf_core.demo.lidar import simulate_scan
 from nvsf_core.demo.motion import FRAME_PERIOD_S, EgoSpeed
 from nvsf_core.demo.street import CAR_SIZE_M
 from nvsf_core.demo.world import DemoWorld
+from nvsf_core.drives.kitti360.boxes import STATIC_FRAME, Box
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.scans import write_scan
 from nvsf_core.drives.kitti360.writer import (
-    WrittenBox,
     write_boxes,
     write_calibration,
     write_frame_poses,
@@ -116,7 +116,7 @@ def write_demo(
         write_calibration(layout, {camera.name: camera.model for camera in cameras}, to_pose, cam0_to_lidar)
         _write_poses(layout, world, cameras[0], size.frames)
         write_times(layout, to_pose, np.arange(size.frames) * FRAME_PERIOD_S, FRAME_PERIOD_S)
-        write_boxes(layout.boxes_path("train"), _boxes(world, size.frames))
+        write_boxes(layout.boxes_path("train"), _boxes(world, size.frames), 0, size.frames - 1)
         _write_frames(layout, world, cameras, size, progress)
         part.rename(root)
     except OSError as error:
@@ -142,18 +142,18 @@ def _write_poses(layout: DriveLayout, world: DemoWorld, camera: DemoCamera, fram
     write_frame_poses(layout.cam0_to_world_path, range(frames), pose_to_world @ camera.image_to_pose, rows=4)
 
 
-def _boxes(world: DemoWorld, frames: int) -> list[WrittenBox]:
+def _boxes(world: DemoWorld, frames: int) -> Iterator[Box]:
     """Boxes of moving objects in each frame, at the pose's instant, and of parked cars once."""
-    boxes = []
     for mover in world.street.movers:
         poses = world.object_to_world(mover.object_id, np.arange(frames) * FRAME_PERIOD_S)
         for frame, pose in enumerate(poses):
             box = _box_to_world(pose, mover.size_m)
-            boxes.append(WrittenBox(mover.object_id, mover.label, True, frame, 0, frames - 1, box))
+            yield Box(
+                frame=frame, object_id=mover.object_id, label=mover.label, dynamic=True, box_to_world=box
+            )
     for car in world.street.parked:
         box = _box_to_world(world.street_to_world @ car.pose, CAR_SIZE_M)
-        boxes.append(WrittenBox(car.object_id, "car", False, -1, 0, frames - 1, box))
-    return boxes
+        yield Box(frame=STATIC_FRAME, object_id=car.object_id, label="car", dynamic=False, box_to_world=box)
 
 
 def _box_to_world(pose: np.ndarray, size_m: tuple[float, float, float]) -> np.ndarray:

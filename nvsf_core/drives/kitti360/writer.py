@@ -2,16 +2,15 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from html import escape
 from pathlib import Path
-from typing import Self
 
 import cv2
 import numpy as np
 
-from nvsf_core.drives.kitti360.boxes import number_in_boxes
+from nvsf_core.drives.kitti360.boxes import Box, number_in_boxes
 from nvsf_core.drives.kitti360.layout import CAMERAS, FISHEYE_CAMERAS, DriveLayout
 from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.geometry.fisheye import MeiFisheye
@@ -34,30 +33,12 @@ START = datetime.fromisoformat("2013-05-28 08:00:00")
 class RectifiedCamera:
     """A perspective camera, with the values of `perspective.txt`."""
 
-    width: int
-    """Columns of the rectified image."""
-    height: int
-    """Rows of the rectified image."""
-    focal_px: float
-    """Focal length of the rectified image."""
-    cx: float
-    """Column of the principal point; pixel centres lie at integers."""
-    cy: float
-    """Row of the principal point."""
-    baseline_m: float
+    pinhole: Pinhole
+    """Of the rectified image."""
+    baseline_m: float = 0.0
     """Distance to the right of camera 0, along the rectified x axis."""
-    rectification: np.ndarray
+    rectification: np.ndarray = field(default_factory=lambda: np.eye(3))
     """R_rect (3, 3): unrectified to rectified camera."""
-    focal_y_px: float | None = None
-    """Vertical focal length, if it is another one."""
-
-    @classmethod
-    def of(cls, pinhole: Pinhole) -> Self:
-        """A camera whose images are rectified already: no baseline, no rotation."""
-        return cls(
-            pinhole.width, pinhole.height, pinhole.fx, pinhole.cx, pinhole.cy, 0.0, np.eye(3),
-            focal_y_px=pinhole.fy,
-        )  # fmt: skip
 
 
 def flat_fisheye(pinhole: Pinhole) -> MeiFisheye:
@@ -68,26 +49,6 @@ def flat_fisheye(pinhole: Pinhole) -> MeiFisheye:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class WrittenBox:
-    """One 3-D box of `data_3d_bboxes`."""
-
-    object_id: int
-    """Number of the object; a moving object has one box a frame."""
-    label: str
-    """One of KITTI-360's classes; others are written as unknown objects, with their name."""
-    dynamic: bool
-    """Whether it moves."""
-    frame: int
-    """Frame of the box; -1 for a static object."""
-    first_frame: int
-    """First frame in which the object is visible."""
-    last_frame: int
-    """Last frame in which the object is visible."""
-    box_to_world: np.ndarray
-    """(4, 4), unit cube [-0.5, 0.5]^3 to world; the 3x3 part includes the size as scale."""
-
-
 def write_image(path: Path, rgb: np.ndarray) -> None:
     """Write an image (H, W, 3) uint8, red first, as PNG.
 
@@ -95,11 +56,7 @@ def write_image(path: Path, rgb: np.ndarray) -> None:
         ShapeError: The array has another shape or type.
         DataError: The file cannot be written.
     """
-    if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
-        raise ShapeError(
-            f"expected an image (H, W, 3) uint8, found {rgb.shape} {rgb.dtype} for {path}; convert it"
-        )
-    _write_png(path, rgb[..., ::-1])
+    _write_png(path, _blue_first(rgb, f" for {path}"))
 
 
 def png_bytes(rgb: np.ndarray) -> bytes:
@@ -108,37 +65,33 @@ def png_bytes(rgb: np.ndarray) -> bytes:
     Raises:
         ShapeError: The array has another shape or type.
     """
+    return bytes(cv2.imencode(".png", _blue_first(rgb), [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
+
+
+def _blue_first(rgb: np.ndarray, where: str = "") -> np.ndarray:
     if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
-        raise ShapeError(f"expected an image (H, W, 3) uint8, found {rgb.shape} {rgb.dtype}; convert it")
-    return bytes(cv2.imencode(".png", rgb[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
+        raise ShapeError(
+            f"expected an image (H, W, 3) uint8, found {rgb.shape} {rgb.dtype}{where}; convert it"
+        )
+    return rgb[..., ::-1]
 
 
-def write_classes(path: Path, classes: np.ndarray) -> None:
-    """Write a class (H, W) uint8 of each pixel of an image as a grey PNG with these values.
-
-    Raises:
-        ShapeError: The array has another shape or type.
-        DataError: The file cannot be written.
-    """
-    if classes.dtype != np.uint8 or classes.ndim != 2:
-        raise ShapeError(f"expected classes (H, W) uint8, found {classes.shape} {classes.dtype} for {path}")
-    _write_png(path, classes)
-
-
-def write_numbers(path: Path, numbers: np.ndarray) -> None:
-    """Write a number (H, W) uint16 of each pixel of an image as a grey PNG of 16 bits.
+def write_grey(path: Path, values: np.ndarray, kind: type[np.unsignedinteger]) -> None:
+    """Write a value (H, W) of each pixel of an image, uint8 or uint16 as `kind` says, as a grey PNG.
 
     Raises:
         ShapeError: The array has another shape or type.
         DataError: The file cannot be written.
     """
-    if numbers.dtype != np.uint16 or numbers.ndim != 2:
-        raise ShapeError(f"expected numbers (H, W) uint16, found {numbers.shape} {numbers.dtype} for {path}")
-    _write_png(path, numbers)
+    if values.dtype != kind or values.ndim != 2:
+        raise ShapeError(
+            f"expected values (H, W) {kind.__name__}, found {values.shape} {values.dtype} for {path}"
+        )
+    _write_png(path, values)
 
 
 def read_numbers(path: Path) -> np.ndarray:
-    """Read what `write_numbers` wrote: (H, W) uint16.
+    """Read what `write_grey` wrote: (H, W) uint16.
 
     Raises:
         DataError: The file is none of that kind.
@@ -174,11 +127,11 @@ def write_calibration(
             write_fisheye(layout.fisheye_path(name), name, fisheye)
         else:
             assert not isinstance(model, MeiFisheye), "fisheyes have the places of fisheyes"
-            perspective[name] = RectifiedCamera.of(model) if isinstance(model, Pinhole) else model
+            perspective[name] = RectifiedCamera(model) if isinstance(model, Pinhole) else model
     if perspective:
         write_perspective(layout.perspective_path, perspective)
     write_cam_to_pose(layout.cam_to_pose_path, to_pose)
-    write_pose(layout.cam_to_velo_path, cam0_to_lidar)
+    write_text(layout.cam_to_velo_path, _numbers(cam0_to_lidar[:3]) + "\n")
 
 
 def write_times(layout: DriveLayout, cameras: Iterable[str], time_s: np.ndarray, sweep_s: float) -> None:
@@ -208,11 +161,6 @@ def write_cam_to_pose(path: Path, cam_to_pose: Mapping[str, np.ndarray]) -> None
     write_text(path, "".join(f"{name}: {_numbers(pose[:3])}\n" for name, pose in known.items()))
 
 
-def write_pose(path: Path, pose: np.ndarray) -> None:
-    """Write `calib_cam_to_velo.txt`: the upper rows of one pose (4, 4) in one line."""
-    write_text(path, _numbers(pose[:3]) + "\n")
-
-
 def write_perspective(path: Path, cameras: Mapping[str, RectifiedCamera]) -> None:
     """Write `perspective.txt`: rectified and (nominal) raw intrinsics of `image_00` and `image_01`.
 
@@ -221,10 +169,10 @@ def write_perspective(path: Path, cameras: Mapping[str, RectifiedCamera]) -> Non
     lines = ["calib_time: 28-May-2013 08:00:00", "corner_dist: 0.100000"]
     for name, camera in cameras.items():
         tag = name[-2:]
-        focal_y = camera.focal_px if camera.focal_y_px is None else camera.focal_y_px
-        k = np.array([[camera.focal_px, 0.0, camera.cx], [0.0, focal_y, camera.cy], [0.0, 0.0, 1.0]])
-        p = np.column_stack([k, [-camera.focal_px * camera.baseline_m, 0.0, 0.0]])
-        size = f"{camera.width:.6f} {camera.height:.6f}"
+        pinhole = camera.pinhole
+        k = pinhole.matrix
+        p = np.column_stack([k, [-pinhole.fx * camera.baseline_m, 0.0, 0.0]])
+        size = f"{pinhole.width:.6f} {pinhole.height:.6f}"
         lines += [
             f"S_{tag}: {size}",
             f"K_{tag}: {_numbers(k)}",
@@ -264,24 +212,30 @@ def write_timestamps(path: Path, start: datetime, offsets_s: Iterable[float]) ->
     write_text(path, "".join(f"{time.isoformat(' ', 'microseconds')}000\n" for time in times))
 
 
-def write_boxes(path: Path, boxes: Sequence[WrittenBox]) -> None:
-    """Write `data_3d_bboxes/*/<sequence>.xml`: one element a box, in the format of OpenCV's file storage."""
-    objects = "".join(_box_xml(index, box) for index, box in enumerate(boxes))
+def write_boxes(path: Path, boxes: Iterable[Box], first_frame: int, last_frame: int) -> None:
+    """Write `data_3d_bboxes/*/<sequence>.xml`: one element a box, in the format of OpenCV's file storage.
+
+    Objects are said to be visible from the first to the last frame. Of their numbers the layout writes those
+    within the class, the last three digits; its readers put the class in front. Labels that are none of
+    KITTI-360's classes are written as unknown objects, with their name.
+    """
+    shown = {"start_frame": first_frame, "end_frame": last_frame}
+    objects = "".join(_box_xml(index, box, shown) for index, box in enumerate(boxes))
     write_text(path, f'<?xml version="1.0"?>\n<opencv_storage>\n{objects}</opencv_storage>\n')
 
 
-def _box_xml(index: int, box: WrittenBox) -> str:
+def _box_xml(index: int, box: Box, shown: Mapping[str, int]) -> str:
+    instance = box.object_id % 1000
     fields = {
         "index": index,
         "label": box.label,
         "category": "vehicle" if box.label in ("car", "bicycle") else "human",
         "semanticId": number_in_boxes(box.label),
-        "instanceId": box.object_id,
+        "instanceId": instance,
         "timestamp": box.frame,
         "dynamic": int(box.dynamic),
-        "dynamicSeq": box.object_id if box.dynamic else -1,
-        "start_frame": box.first_frame,
-        "end_frame": box.last_frame,
+        "dynamicSeq": instance if box.dynamic else -1,
+        **shown,
     }
     text = "".join(f"  <{key}>{_in_xml(value)}</{key}>\n" for key, value in fields.items())
     matrices = (

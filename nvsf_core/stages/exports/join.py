@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.drives.entries import SceneEntry
-from nvsf_core.drives.kitti360.writer import read_numbers, write_numbers
+from nvsf_core.drives.kitti360.writer import read_numbers, write_grey
 from nvsf_core.errors import DataError
 from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.stages.exports.manifest import (
@@ -139,7 +139,7 @@ def _joined(
                         shutil.copyfile(folder / file, out / file)
                     if "instance" in row:
                         values = read_numbers(folder / row["instance"])
-                        write_numbers(out / row["instance"], _renumbered(manifest, objects)[values])
+                        write_grey(out / row["instance"], _renumbered(manifest, objects)[values], np.uint16)
         for box in manifest["boxes"]:
             key = (box["object_id"], box["number"])
             if key not in known and (box["number"] is None or box["number"] in own):

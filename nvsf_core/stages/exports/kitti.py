@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nvsf_core.drives.kitti.files import CAMERA_AXES_TO_Z_UP
 from nvsf_core.drives.kitti360.scans import write_column, write_scan
 from nvsf_core.drives.kitti360.writer import write_image, write_text
 from nvsf_core.geometry.pinhole import Pinhole
@@ -25,10 +26,6 @@ from nvsf_core.stages.exports.records import CameraRecord, DataSet
 
 FOLDER = "kitti"
 _SEQUENCE = "00"
-_NOMINAL = np.array(
-    [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-)
-"""A level camera in the LiDAR's place: camera axes to LiDAR axes."""
 _FIRST = 2
 """KITTI's colour cameras are numbers 2 and 3."""
 
@@ -45,7 +42,7 @@ def write_kitti(folder: Path, data: DataSet) -> None:
     root = folder / FOLDER
     place = root / "sequences" / _SEQUENCE
     names = list(kitti_cameras(data.cameras))
-    in_lidar = data.cameras[names[0]].in_lidar if names else _NOMINAL
+    in_lidar = data.cameras[names[0]].in_lidar if names else CAMERA_AXES_TO_Z_UP
     camera_to_world = data.lidar_to_world @ in_lidar
     relative = invert_pose(camera_to_world[:1]) @ camera_to_world
     _write(root / "poses" / f"{_SEQUENCE}.txt", [_line(pose[:3]) for pose in relative])

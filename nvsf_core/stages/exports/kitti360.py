@@ -6,22 +6,21 @@ images are fisheyes, come as MEI cameras without distortion. Cameras of other in
 layout.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.drives.kitti360.boxes import class_of, number_in_boxes
+from nvsf_core.drives.kitti360.boxes import STATIC_FRAME, Box, class_of, number_in_boxes
 from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.scans import write_column, write_scan
 from nvsf_core.drives.kitti360.writer import (
     MOST_LINES_BEFORE,
-    WrittenBox,
     write_boxes,
     write_calibration,
     write_frame_poses,
+    write_grey,
     write_image,
-    write_numbers,
     write_times,
 )
 from nvsf_core.errors import DataError
@@ -58,7 +57,7 @@ def write_kitti360(folder: Path, data: DataSet) -> None:
     write_times(layout, cameras, stamps, data.sweep_period_s)
     boxes = [data.boxes(index) for index in range(len(data.numbers))]
     objects = object_numbers({one.object_id: one.label for there in boxes for one in there})
-    write_boxes(layout.boxes_path("train"), _written(data, boxes, objects))
+    write_boxes(layout.boxes_path("train"), _written(data, boxes, objects), data.numbers[0], data.numbers[-1])
     for index, number in enumerate(data.numbers):
         if data.scan is not None:
             scan = data.scan(index)
@@ -69,7 +68,8 @@ def write_kitti360(folder: Path, data: DataSet) -> None:
             image = data.image(own, index)
             write_image(layout.image_path(name, number), image.rgb)
             if image.object_id is not None:
-                write_numbers(layout.instance_path(name, number), _renumbered(image.object_id, objects))
+                instances = _renumbered(image.object_id, objects)
+                write_grey(layout.instance_path(name, number), instances, np.uint16)
 
 
 def _write_calibration(layout: DriveLayout, cameras: dict[str, CameraRecord]) -> None:
@@ -130,16 +130,16 @@ def _class_of(label: str) -> int:
 
 def _written(
     data: DataSet, boxes: Sequence[Sequence[BoxRecord]], numbers: Mapping[int, int]
-) -> list[WrittenBox]:
-    found: dict[tuple[int, int], WrittenBox] = {}
-    first, last = data.numbers[0], data.numbers[-1]
+) -> Iterable[Box]:
+    found: dict[tuple[int, int], Box] = {}
     for frame, there in zip(data.numbers, boxes, strict=True):
         for one in there:
-            at = frame if one.is_dynamic else -1
-            found[one.object_id, at] = WrittenBox(
-                numbers[one.object_id] % 1000, one.label, one.is_dynamic, at, first, last, one.box_to_world
-            )
-    return list(found.values())
+            at = frame if one.is_dynamic else STATIC_FRAME
+            found[one.object_id, at] = Box(
+                frame=at, object_id=numbers[one.object_id], label=one.label, dynamic=one.is_dynamic,
+                box_to_world=one.box_to_world,
+            )  # fmt: skip
+    return found.values()
 
 
 def _renumbered(object_id: np.ndarray, numbers: Mapping[int, int]) -> np.ndarray:

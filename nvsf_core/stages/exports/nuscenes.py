@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nvsf_core.drives.kitti360.scans import write_column
-from nvsf_core.drives.kitti360.writer import write_classes, write_image, write_text
+from nvsf_core.drives.kitti360.writer import write_grey, write_image, write_text
 from nvsf_core.geometry.boxes import inside_any
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.stages.exports.camera_places import pinholes_of
@@ -64,7 +64,7 @@ def write_nuscenes(folder: Path, data: DataSet) -> None:
             write_image(root / tables.add_data(channel, index, "png"), image.rgb)
         for box in data.boxes(index):
             tables.add_box(index, box, scan)
-    write_classes(root / tables.rows["map"][0]["filename"], _NO_MAP)
+    write_grey(root / tables.rows["map"][0]["filename"], _NO_MAP, np.uint8)
     for name, rows in tables.finished().items():
         write_text(root / VERSION / f"{name}.json", json.dumps(rows, indent=0, allow_nan=False))
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from nvsf_core.clouds.laz import write_laz
 from nvsf_core.drives.kitti360.scans import write_column
-from nvsf_core.drives.kitti360.writer import write_numbers
+from nvsf_core.drives.kitti360.writer import write_grey
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages.exports.card import JSON_NAME, MARKDOWN_NAME, write_card
 from nvsf_core.stages.exports.kitti import kitti_cameras, write_kitti
@@ -167,10 +167,11 @@ def _pixels(folder: Path, view: RenderedView, camera: str, index: int, number: i
     files = {"depth": f"{camera}/depth/{number:010d}.png"}
     ranges_m = view.arrays[f"{camera}_range_m"][index]
     steps = np.rint(depth_m(camera_models(view.attrs)[camera], ranges_m) / DEPTH_UNIT_M)
-    write_numbers(folder / files["depth"], np.where(steps > _MOST_STEPS, 0, steps).astype(np.uint16))
+    steps = np.where(steps > _MOST_STEPS, 0, steps).astype(np.uint16)
+    write_grey(folder / files["depth"], steps, np.uint16)
     if f"{camera}_instance" in view.arrays:
         files["instance"] = f"{camera}/instance/{number:010d}.png"
-        write_numbers(folder / files["instance"], view.arrays[f"{camera}_instance"][index])
+        write_grey(folder / files["instance"], view.arrays[f"{camera}_instance"][index], np.uint16)
     return files
 
 

@@ -5,6 +5,7 @@ is lost is said.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -18,7 +19,6 @@ from nvsf_core.drives.kitti360.layout import CAMERAS, FISHEYE_CAMERAS, PERSPECTI
 from nvsf_core.drives.kitti360.scans import Scan, write_scan
 from nvsf_core.drives.kitti360.writer import (
     MOST_LINES_BEFORE,
-    WrittenBox,
     write_boxes,
     write_calibration,
     write_frame_poses,
@@ -118,16 +118,9 @@ class Kitti360Target(AbstractTarget):
         except DataError as error:
             self.left_out.append(f"all boxes: {error}")
             boxes, numbers = (), {}
-        first, last = self.scene.first_frame, self.scene.last_frame
-        # The layout numbers the objects of each class; its readers put the class in front.
-        written = [
-            WrittenBox(
-                numbers[one.object_id] % 1000, one.label, one.dynamic, one.frame, first, last,
-                one.box_to_world,
-            )
-            for one in boxes
-        ]  # fmt: skip
-        write_boxes(self._layout.boxes_path("train"), written)
+        written = [replace(one, object_id=numbers[one.object_id]) for one in boxes]
+        frames = self.scene.first_frame, self.scene.last_frame
+        write_boxes(self._layout.boxes_path("train"), written, *frames)
 
     def _losses(self) -> list[str]:
         """What the layout has no place for, in words."""

@@ -10,7 +10,7 @@ import numpy as np
 from nvsf_core.clouds.pcd import write_pcd
 from nvsf_core.clouds.ply import write_ply
 from nvsf_core.drives.kitti360.scans import write_scan
-from nvsf_core.drives.kitti360.writer import write_classes, write_image
+from nvsf_core.drives.kitti360.writer import write_grey, write_image
 from nvsf_core.errors import DataError
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.reporting.previews import image_preview, range_preview, support_preview
@@ -131,7 +131,7 @@ def write_images(folder: Path, arrays: Mapping[str, np.ndarray]) -> list[tuple[s
             write_image(folder / file, rgb)
             if f"{name}_support" in arrays:
                 classes = arrays[f"{name}_support"][index]
-                write_classes(folder / f"{name}/support/{number:010d}.png", classes)
+                write_grey(folder / f"{name}/support/{number:010d}.png", classes, np.uint8)
             found.append((name, index, number, file))
     return found
 

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.drives.cuts import cut_scene, parts_of
 from nvsf_core.drives.entries import SceneEntry
-from nvsf_core.drives.kitti360.writer import read_numbers, write_numbers
+from nvsf_core.drives.kitti360.writer import read_numbers, write_grey
 from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.errors import DataError
 from nvsf_core.stages.exports.join import asks_for, join_data_sets, newest_data_set
@@ -55,7 +55,7 @@ def _made(home: Path, part: SceneEntry, number: int, **other: object) -> Path:
         }
         scans.append(row | {"files": files, "returns": 1})
         instance = f"image_00/instance/{frame:010d}.png"
-        write_numbers(folder / instance, np.array([[0, 1]], np.uint16))
+        write_grey(folder / instance, np.array([[0, 1]], np.uint16), np.uint16)
         shown = {"file": f"image_00/data_rect/{frame:010d}.png", "instance": instance}
         images.append(row | {"camera": "image_00", **shown})
     boxes = [_box(7, "building", None, 0.0), *(_box(8, "car", frame, float(frame)) for frame in frames)]
