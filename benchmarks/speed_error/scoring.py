@@ -26,7 +26,7 @@ from nvsf_core.simulation.scene_model import ImageRenderer, SceneModel
 from nvsf_core.simulation.sweep_simulation import simulate_sweep
 from nvsf_core.stages.views.camera import copied_images
 from nvsf_core.stages.views.lidar import copied_scans, warm_up
-from nvsf_core.stages.views.view import View, held_out_view, reference_poses
+from nvsf_core.stages.views.view import View, held_out_view
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.scene_store import SceneStore
 
@@ -156,7 +156,7 @@ class Judge:
     def _camera(self, name: str, thin: bool) -> tuple[Pinhole, np.ndarray]:
         """What a camera is rendered with, and its poses (n, 4, 4) in the view."""
         camera = self.recording.cameras[name]
-        poses: np.ndarray = reference_poses(self.recording, self.view.images[name]) @ camera.in_lidar
+        poses: np.ndarray = self.view.images[name].poses(self.recording.trajectory) @ camera.in_lidar
         return thin_pinhole(camera.training.pinhole) if thin else camera.training.pinhole, poses
 
 

@@ -21,13 +21,8 @@ def poisson_surface(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Screened Poisson reconstruction in a process of its own, which may crash.
 
-    Args:
-        points_m: (n, 3) metres.
-        normals: (n, 3) unit, pointing out of the surface.
-        depth: Of the octree.
-
-    Returns:
-        Vertices (v, 3) float64 and triangles (t, 3) int32, rows of the vertices.
+    Normals point out of the surface; `depth` is the octree's. Made are vertices (v, 3) float64 in metres and
+    triangles (t, 3) int32, rows of the vertices.
 
     Raises:
         DataError: The process ended without a surface; says how.

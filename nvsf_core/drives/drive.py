@@ -157,12 +157,6 @@ class AbstractDrive(ABC):
     def find_image(self, camera: str, frame: int, width: int, height: int) -> Recorded | None:
         """The recorded bytes of a camera's image, not validated; None if there is none.
 
-        Args:
-            camera: Its name.
-            frame: Frame number.
-            width: Expected columns, pixels.
-            height: Expected rows, pixels.
-
         Raises:
             DataError: They cannot be read, or are too large for an image of that size.
         """
@@ -211,11 +205,7 @@ class AbstractDrive(ABC):
         return Boxes()
 
     def read_scan(self, frame: int, checksum: str = "") -> Scan:
-        """A frame's usable returns.
-
-        Args:
-            frame: Frame number.
-            checksum: The `Recorded.checksum` when it was validated; empty = not compared.
+        """A frame's usable returns; `checksum` is `Recorded`'s when it was validated, empty = not compared.
 
         Raises:
             DataError: It is absent, damaged, or has changed since.

@@ -202,12 +202,13 @@ class AbstractPosedDrive(AbstractDrive):
                 f"scene {self.scene.name}: expected frames {self.frames[0]} to {self.frames[-1]} in "
                 f"{self.scene.root}, found {_span(sorted(self._seconds))}; correct first_frame and last_frame"
             )
-        period_s = self.scene.sweep_period_s or _median_step(self._seconds) or NOMINAL_PERIOD_S
+        usual_s = median_step_s([self._seconds[frame] for frame in sorted(self._seconds)])
+        period_s = self.scene.sweep_period_s or usual_s or NOMINAL_PERIOD_S
         frames = np.array(sorted(known))
         seconds = np.array([known[frame] for frame in frames.tolist()])
         wanted = np.array(self.frames)
         # A frame that is not there is given a time between its neighbours'; it has no scan and no pose.
-        step_s = _median_step(self._seconds) or period_s
+        step_s = usual_s or period_s
         step_s = step_s if abs(period_s - step_s) > UNLIKE * step_s else period_s
         found = np.interp(wanted, frames, seconds)
         found = np.where(wanted < frames[0], seconds[0] - step_s * (frames[0] - wanted), found)
@@ -324,11 +325,7 @@ class AbstractPosedDrive(AbstractDrive):
 
 
 def require_ascending(time_s: np.ndarray, where: str) -> None:
-    """Refuse times that do not ascend.
-
-    Args:
-        time_s: (n,) seconds.
-        where: The file, for the message.
+    """Refuse times (n,) that do not ascend; `where` is their file, for the message.
 
     Raises:
         DataError: One is not later than the one before.
@@ -342,9 +339,9 @@ def require_ascending(time_s: np.ndarray, where: str) -> None:
         )
 
 
-def _median_step(seconds: dict[int, float]) -> float | None:
-    found = [seconds[frame] for frame in sorted(seconds)]
-    return float(np.median(np.diff(found))) if len(found) > 1 else None
+def median_step_s(ascending_s: list[float]) -> float | None:
+    """Median time from one to the next; None if there are not two."""
+    return float(np.median(np.diff(ascending_s))) if len(ascending_s) > 1 else None
 
 
 def _span(frames: list[int]) -> str:

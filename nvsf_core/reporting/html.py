@@ -120,9 +120,7 @@ def figure(parts: Sequence[str], caption: str) -> str:
 def methods_table(methods: Sequence[tuple[str, str, bool]], columns: Sequence[Column]) -> str:
     """HTML table with one row per method; the best value of a column is marked, ties too.
 
-    Args:
-        methods: Name, description, and whether it is a trained model.
-        columns: Columns of the same group next to each other.
+    Methods have a name, a description, and whether they are trained; columns of a group stand together.
     """
     groups: list[list[Any]] = []
     for column in columns:

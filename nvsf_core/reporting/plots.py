@@ -161,11 +161,6 @@ def _label(axes: Axes, points: Sequence[CostPoint]) -> None:
         )  # fmt: skip
 
 
-def method_colour(recipe: str) -> str:
-    """The colour of a method in every plot."""
-    return BASELINE_COLOURS.get(recipe, MODEL_COLOUR)
-
-
 def range_tick_percent(range_m: float) -> float:
     """Position of a range on the scale of `range_scale_png`, in percent from its left end."""
     return 100.0 * math.sqrt(range_m / MAX_RANGE_M)

@@ -34,12 +34,9 @@ _COSTS = (
 
 
 def report_html(scenes: Sequence[SceneOutputs], no_data: Sequence[str], more: str = "") -> str:
-    """The page, as text.
+    """The page, as text: scenes in the given order, then the ready-made sections `more` (HTML).
 
-    Args:
-        scenes: The scenes' outputs, in the order to show them.
-        no_data: Catalogue scenes whose recordings are not on this machine.
-        more: Ready-made sections (HTML) to put below the scenes.
+    `no_data` are catalogue scenes whose recordings are not on this machine.
     """
     shown = [_shown(scene) for scene in scenes]
     scenes = [scene for scene, _ in shown]
@@ -165,15 +162,11 @@ def _commit(run: FieldRun) -> str:
     return f'<span title="{escape(run.commit)}">{shown}</span>' if run.commit else "–"
 
 
-def _on(machine: str) -> str:
-    return f", on {escape(machine)}" if machine else ""
-
-
 def _provenance(scene: SceneOutputs) -> str:
     """The runs that the rows of the scene's tables come from."""
     runs = "; ".join(
         f"<b>{escape(run.recipe)}</b>, seed {run.seed}: commit {_commit(run)}, "
-        f"{run.measured:%Y-%m-%d %H:%M} UTC{_on(run.machine)}"
+        f"{run.measured:%Y-%m-%d %H:%M} UTC" + (f", on {escape(run.machine)}" if run.machine else "")
         for run in scene.runs
         if run.is_comparable
     )
@@ -315,7 +308,7 @@ def _cost_plot(rows: Sequence[Row]) -> str:
             mine = [row for row in rows if row["method"] == name]
             value = mean_of(mine, protocol, metric)[0]
             seconds = float(mine[0]["train_seconds"] or 0.0)
-            colour = plots.method_colour(mine[0]["recipe"])
+            colour = plots.BASELINE_COLOURS.get(mine[0]["recipe"], plots.MODEL_COLOUR)
             points.append(plots.CostPoint(label=name, seconds=seconds, error=value, colour=colour))
         if any(np.isfinite(point.error) for point in points):
             panels.append((title, points))

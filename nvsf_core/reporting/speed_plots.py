@@ -60,12 +60,7 @@ def curves_png(runs: Sequence[Run]) -> bytes:
 
 
 def speed_section(folder: Path | None, scenes: Collection[str] | None = None) -> str:
-    """HTML section on the runs below `folder`; empty if there are none.
-
-    Args:
-        folder: Where `make bench` stored them; None = nowhere.
-        scenes: Only runs of these scenes; None = all.
-    """
+    """HTML section on the runs of these scenes (None = all) below `folder`; empty if there are none."""
     runs = [] if folder is None else read_runs(folder)
     shown = {
         key: mine

@@ -202,10 +202,11 @@ def _metric_column(
         found: Of each method the mean, the frames where it is defined, and all frames.
     """
     digits = 2 if unit == "dB" else 4 if unit == "m2" else 3
+    partial = "defined on {} of {} frames"
     return Column(
         group=group, title=title, unit=UNITS.get(unit, unit), higher_is_better=higher_is_better(metric),
         values=[value for value, _, _ in found], n_defined=[defined for _, defined, _ in found],
-        notes=[_undefined(defined, frames) for _, defined, frames in found], digits=digits,
+        notes=["" if n == frames else partial.format(n, frames) for _, n, frames in found], digits=digits,
     )  # fmt: skip
 
 
@@ -218,7 +219,3 @@ def _cost(rows: Sequence[Row], key: str, kind: str | None) -> float:
         if row[key] is not None and not math.isnan(row[key])
     ]
     return sum(values) / len(values) if values else math.nan
-
-
-def _undefined(defined: int, frames: int) -> str:
-    return "" if defined == frames else f"defined on {defined} of {frames} frames"

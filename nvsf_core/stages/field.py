@@ -31,12 +31,9 @@ def load_model(task: Task, recording: Recording) -> SceneModel:
 
 
 def load_trained(folder: Path, recording: Recording, *, with_camera: bool = True) -> SceneModel:
-    """The model whose weights and recipe lie in an output folder of this stage.
+    """The model whose weights and recipe lie in an output folder of this stage, and that knows its drive.
 
-    Args:
-        folder: Output folder of this stage.
-        recording: The drive that it was trained on.
-        with_camera: Whether it shall render images too; preparing this takes seconds.
+    With `with_camera` it renders images too; preparing this takes seconds.
 
     Raises:
         StoreError: The weights cannot be read.

@@ -25,7 +25,7 @@ from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.mesh import read_mesh
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.stage import Check, StageOutput, Task
-from nvsf_core.stages.views.camera import copied_images, image_arrays, other_image_arrays
+from nvsf_core.stages.views.camera import copied_images, image_arrays
 from nvsf_core.stages.views.files import (
     describe_view,
     scans_of,
@@ -48,7 +48,6 @@ from nvsf_core.stages.views.view import (
     camera_models,
     held_out_view,
     placed,
-    reference_poses,
     view_attrs,
 )
 
@@ -184,10 +183,9 @@ def render_view_arrays(
     if recording.lidar is not None and view.sweeps is not None and model.lidar is not None:
         arrays |= sweep_arrays(task, recording.lidar, view.sweeps, model, method)
         if model.pano is not None and view.sweeps.is_recorded_sensor and view.plan.is_as_recorded:
-            arrays |= own_panos(task, reference_poses(recording, view.plan), view.sweeps, model.pano)
+            arrays |= own_panos(task, view.plan.poses(recording.trajectory), view.sweeps, model.pano)
     if model.camera is not None:
-        arrays |= image_arrays(task, recording, view.images, model.camera, method)
-        arrays |= other_image_arrays(task, recording, view, model.camera, method)
+        arrays |= image_arrays(task, recording, view, model.camera, method)
     return arrays
 
 

@@ -96,17 +96,14 @@ def _measure_views(task: Task, views: Path, ledger: Ledger, lpips: Lpips | None)
         about["demo_truth"] = "views not measured: the drive is not of the demo writer's street"
         demo = None
     for view in asked:
-        truths = _true_images(task, views / view.name / "model.zarr", view, demo)
+        path = views / view.name / "model.zarr"
+        rendered = [] if demo is None else list(demo_images(task, path, view, demo))
+        # What the catalogue names comes before the demo's.
+        truths = list({one.camera: one for one in (*rendered, *recorded_truth(task, path, view))}.values())
         if truths:
             write_truth(task.folder / view.name, truths)
         _measure(task, list(_parts_of_view(task, views, view, demo, truths, lpips)), ledger)
     return about
-
-
-def _true_images(task: Task, path: Path, view: ViewEntry, demo: DemoTruth | None) -> list[TrueImages]:
-    """True images of a view, if anybody knows them; what the catalogue names comes before the demo's."""
-    rendered = [] if demo is None else list(demo_images(task, path, view, demo))
-    return list({one.camera: one for one in (*rendered, *recorded_truth(task, path, view))}.values())
 
 
 def _parts_of_view(

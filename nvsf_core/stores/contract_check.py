@@ -11,12 +11,8 @@ from nvsf_core.stores.tables import column_kinds
 def contract_faults(stage: str, location: str, folder: Path) -> list[str]:
     """Violations of the data contract by the files of a stage's output, one sentence each.
 
-    Absent files are allowed: they depend on the drive's sensors and on the views.
-
-    Args:
-        stage: Name of the stage.
-        location: Future path of the output below the scene's folder, for example `field/lean/0`.
-        folder: Present folder of the output.
+    Absent files are allowed: they depend on the drive's sensors and on the views. `location` is the output's
+    future path below the scene's folder, for example `field/lean/0`; `folder` is its present one.
 
     Raises:
         StoreError: A file cannot be read.

@@ -85,11 +85,9 @@ class Contents(dict[str, _Value]):
 
 
 def foreign(path: Path, found: str) -> StoreError:
-    """The error for a stored file that is damaged or that this project did not write.
+    """The error for a stored file that is damaged or not this project's; its folder is to be made again.
 
-    Args:
-        path: The file or group; its folder is the output to make again.
-        found: What was expected of it and what was found.
+    `found` says what was expected and what was found.
     """
     return StoreError(f"{path}: {found}; delete {path.parent} and run again: it is then made anew")
 
@@ -97,10 +95,7 @@ def foreign(path: Path, found: str) -> StoreError:
 def unreadable(path: Path, error: Exception, damaged: str) -> StoreError:
     """The error for a stored file that cannot be read: it may be whole, and this user may not read it.
 
-    Args:
-        path: The file or group.
-        error: What was raised.
-        damaged: What was expected and found where it is not a matter of permissions.
+    `damaged` says what was expected and found where it is not a matter of permissions.
     """
     if isinstance(error, PermissionError):
         return StoreError(

@@ -57,9 +57,7 @@ def data_set(scene: SceneEntry) -> DataSet:
     def image(camera: str, index: int) -> ImageRecord:
         model = cameras[camera].intrinsics
         return ImageRecord(
-            camera=camera, number=index, rgb=drive.read_image(camera, index, model.width, model.height),
-            stamp_s=index * PERIOD_S, time_s=index * PERIOD_S,
-            camera_to_world=facts.poses[index] @ cameras[camera].to_pose,
+            rgb=drive.read_image(camera, index, model.width, model.height),
             depth_m=np.zeros((model.height, model.width), np.float32),
         )  # fmt: skip
 
@@ -72,11 +70,10 @@ def data_set(scene: SceneEntry) -> DataSet:
             for one in boxes if one.frame in (index, -1)
         ]  # fmt: skip
 
-    time_s = PERIOD_S * np.arange(FRAMES)
     return DataSet(
-        name="copy", sequence=scene.sequence, numbers=list(drive.frames), stamp_s=time_s, time_s=time_s,
-        lidar_to_world=lidar_to_world, sweep_period_s=PERIOD_S, sensor="HDL-64E", cameras=records, scan=scan,
-        image=image, boxes=labelled,
+        name="copy", sequence=scene.sequence, numbers=list(drive.frames),
+        stamp_s=PERIOD_S * np.arange(FRAMES), lidar_to_world=lidar_to_world, sweep_period_s=PERIOD_S,
+        cameras=records, scan=scan, image=image, boxes=labelled,
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stages.imports.convert import import_drive
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.views.view import held_out_view, reference_poses, to_world
+from nvsf_core.stages.views.view import held_out_view
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.tables import read_rows
 
@@ -103,7 +103,8 @@ def test_held_out_images_are_shown_where_and_when_they_were_taken(recording: Rec
     taken_s = [6 * PERIOD_S + DELAY_S, 7 * PERIOD_S + 2 * DELAY_S]
     np.testing.assert_allclose(plan.time_s, taken_s, atol=1e-9, err_msg="of what moves")
     np.testing.assert_allclose(plan.moments_s, taken_s, atol=1e-9, err_msg="of the camera")
-    shown = to_world(recording, reference_poses(recording, plan) @ recording.cameras["front"].in_lidar)
+    path = recording.trajectory
+    shown = path.scene_to_world @ (plan.poses(path) @ recording.cameras["front"].in_lidar)
     np.testing.assert_allclose(shown, [place(one) @ MOUNTING for one in taken_s], atol=1e-6)
 
 

@@ -13,8 +13,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from nvsf_core.drives.bags.messages import (
     CAMERA_INFO,
     IMAGES,
@@ -238,9 +236,3 @@ def header_of(raw: bytes, *, is_ros2: bool) -> tuple[float, str]:
     return seconds + 1e-9 * nanoseconds, plain_name(
         raw[16 : 16 + length].rstrip(b"\0").decode("utf-8", "replace")
     )
-
-
-def median_step_s(messages: list[Stamped]) -> float | None:
-    """Median time from message to message."""
-    stamps = [one.stamp_s for one in messages]
-    return float(np.median(np.diff(stamps))) if len(stamps) > 1 else None

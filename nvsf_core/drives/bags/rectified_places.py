@@ -75,7 +75,8 @@ def rectified_place(index: BagIndex, topic: str, frame: str) -> np.ndarray:
     others = _others(index, topic)
     is_second = own.centre_m.any()
     first = next((one for one in others if is_second and one.frame == frame and not one.centre_m.any()), own)
-    unnamed = [_Stereo(one, np.eye(4), np.zeros(3)) for one in sorted(index.tree.fixed_frames())]
+    fixed = sorted({name for link in index.tree.fixed for name in link})
+    unnamed = [_Stereo(one, np.eye(4), np.zeros(3)) for one in fixed]
     is_built = False
     for other in (*others, *unnamed):
         place = index.tree.between(other.frame, frame)

@@ -16,7 +16,6 @@ from nvsf_core.drives.bags.index import (
     Stamped,
     header_of,
     index_of,
-    median_step_s,
     open_bag,
     read_fault,
 )
@@ -38,7 +37,7 @@ from nvsf_core.drives.kitti360.images import decode_picture
 from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.drives.lenses import Lens, lens_of
 from nvsf_core.drives.plain.source import scan_of_columns
-from nvsf_core.drives.posed import AbstractPosedDrive, PosePath
+from nvsf_core.drives.posed import AbstractPosedDrive, PosePath, median_step_s
 from nvsf_core.drives.section import Section
 from nvsf_core.errors import CalibrationError, DataError
 
@@ -78,7 +77,7 @@ class BagDrive(AbstractPosedDrive):
         frames = np.array(list(self._seconds.values())) + self.stamp_shift_s
         found: dict[str, dict[int, Stamped]] = {}
         numbers = list(self._seconds)
-        nearest_s = 0.5 * (median_step_s(self._scans) or NOMINAL_PERIOD_S)
+        nearest_s = 0.5 * (median_step_s([one.stamp_s for one in self._scans]) or NOMINAL_PERIOD_S)
         for name, topic in self._topics.items():
             own: dict[int, Stamped] = {}
             for image in self._index.images[topic]:

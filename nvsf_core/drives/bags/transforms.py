@@ -101,7 +101,7 @@ class TransformTree:
         for link, topics in self._by_topic.items():
             repeated = list(topics.get(_TRANSFORMS, {}).values())
             is_car = link[1] in _WORLDS and link[0] not in _WORLDS
-            if repeated and not is_car and _is_still(np.stack(repeated)):
+            if repeated and not is_car and np.abs(np.stack(repeated) - repeated[0]).max() < _STILL:
                 self.fixed.setdefault(link, repeated[0])
             else:
                 ways.setdefault(link[0], []).extend(_Way(link[1], *one) for one in topics.items())
@@ -114,13 +114,10 @@ class TransformTree:
                 )
         self._by_topic.clear()
 
-    def _parents(self) -> dict[str, str]:
-        """Child to parent; a moving link outdoes a fixed one of the same child."""
-        return dict((*self.fixed, *self.moving))
-
     def chain(self, frame: str) -> list[tuple[str, str]]:
         """Links from a frame up to its root."""
-        parents, links, at = self._parents(), list[tuple[str, str]](), plain_name(frame)
+        # A moving link outdoes a fixed one of the same child.
+        parents, links, at = dict((*self.fixed, *self.moving)), list[tuple[str, str]](), plain_name(frame)
         while at in parents and len(links) < _LONGEST_CHAIN:
             links.append((at, parents[at]))
             at = parents[at]
@@ -173,10 +170,6 @@ class TransformTree:
         common = next((name for name in up if name in down), None)
         return None if common is None else np.linalg.inv(down[common]) @ up[common]
 
-    def fixed_frames(self) -> set[str]:
-        """Names of all frames of links that do not move."""
-        return {name for link in self.fixed for name in link}
-
     def _fixed_way(self, frame: str) -> dict[str, np.ndarray]:
         """Frames above a frame by fixed links alone, and the frame's pose in each.
 
@@ -199,8 +192,3 @@ def _rate(path: PosePath) -> str:
     """How many poses there are, when, and how far apart, in words."""
     step = f", {np.median(np.diff(path.time_s)):.3g} s apart in the median" if len(path.time_s) > 1 else ""
     return f"{len(path.time_s)} poses from {path.time_s[0]:.3f} to {path.time_s[-1]:.3f} s{step}"
-
-
-def _is_still(poses: np.ndarray) -> bool:
-    """Whether poses (n, 4, 4) are one."""
-    return bool(np.abs(poses - poses[0]).max() < _STILL)

@@ -1,6 +1,8 @@
 """KITTI's poses: `poses/XX.txt` of the odometry benchmark, and `oxts` packets of raw drives."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,13 +21,7 @@ def read_poses(path: Path) -> np.ndarray:
     Raises:
         DataError: It is absent, or a line is none; file and line are named.
     """
-    poses = []
-    for number, line in enumerate(_lines(path), start=1):
-        try:
-            poses.append(rigid(parse_numbers(line, 12), FARTHEST_M))
-        except ValueError as error:
-            raise DataError(f"{path}, line {number}: {error}; restore the file") from error
-    return np.array(poses).reshape(-1, 4, 4)
+    return np.array(_each(path, lambda line: rigid(parse_numbers(line, 12), FARTHEST_M))).reshape(-1, 4, 4)
 
 
 def read_seconds(path: Path) -> np.ndarray:
@@ -34,13 +30,7 @@ def read_seconds(path: Path) -> np.ndarray:
     Raises:
         DataError: It is absent, or a line is none.
     """
-    found = []
-    for number, line in enumerate(_lines(path), start=1):
-        try:
-            found.append(float(parse_numbers(line, 1)[0]))
-        except ValueError as error:
-            raise DataError(f"{path}, line {number}: {error}; restore the file") from error
-    return np.array(found)
+    return np.array(_each(path, lambda line: float(parse_numbers(line, 1)[0])))
 
 
 def read_oxts(path: Path) -> np.ndarray:
@@ -82,6 +72,17 @@ def _about(axis: int, angle_rad: float) -> np.ndarray:
     turn[first, first] = turn[second, second] = cosine
     turn[first, second], turn[second, first] = -sine, sine
     return turn
+
+
+def _each(path: Path, read: Callable[[str], Any]) -> list[Any]:
+    """What `read` makes of each line."""
+    found = []
+    for number, line in enumerate(_lines(path), start=1):
+        try:
+            found.append(read(line))
+        except ValueError as error:
+            raise DataError(f"{path}, line {number}: {error}; restore the file") from error
+    return found
 
 
 def _lines(path: Path) -> list[str]:

@@ -129,7 +129,7 @@ class KittiRawDrive(AbstractKittiDrive):
             path = root / "calib_cam_to_cam.txt"
             table = KeyedText.read(path)
             rectified = np.eye(4)
-            rectified[:3, :3] = _rotation(table, "R_rect_00")
+            rectified[:3, :3] = table.matrix("R_rect_00", (3, 3), rotation)
             first_to_pose = lidar_to_pose @ invert_pose(rectified @ velo_to_camera)
             for name in self.wanted_cameras:
                 number = name[-2:]
@@ -164,10 +164,3 @@ def _mounting(path: Path) -> np.ndarray:
         return rigid(values.reshape(-1), _LONGEST_ARM_M)
     except ValueError as error:
         raise CalibrationError(f"{path}: {error}; restore the file of the drive") from error
-
-
-def _rotation(table: KeyedText, key: str) -> np.ndarray:
-    try:
-        return rotation(table.matrix(key, (3, 3)))
-    except ValueError as error:
-        raise table.fault(key, str(error)) from error

@@ -25,11 +25,7 @@ _SEMANTIC_IDS = {"Car": 26, "Van": 27, "Truck": 27, "Pedestrian": 24, "Person (s
 
 
 def read_tracklets(path: Path, lidar_to_world: Mapping[int, np.ndarray]) -> tuple[list[Box], list[str]]:
-    """Boxes in the frames that have a pose, and a reason for each that was left out.
-
-    Args:
-        path: `tracklet_labels.xml`.
-        lidar_to_world: (4, 4) of each frame.
+    """Boxes of `tracklet_labels.xml` in the frames with a pose (4, 4), and a reason for each left out.
 
     Raises:
         DataError: It is no such XML, or a field of a tracklet is missing or no number.

@@ -237,9 +237,7 @@ def _text(element: Element, name: str) -> str:
 def class_of(label: str, of_box: int) -> int:
     """Number in images of a box's class; by its name, where that is known, as some writers mix the numbers.
 
-    Args:
-        label: As the box has it.
-        of_box: Its `semanticId`; where no class has it, it is returned.
+    `of_box` is its `semanticId`; where no class has it, it is returned.
     """
     known = _CLASSES.get(_name(label))
     return _OF_BOX.get(of_box, of_box) if known is None else known[0]

@@ -196,10 +196,6 @@ def _read_camera(
 
 def _rectified_to_pose(perspective: KeyedText, mountings: KeyedText, camera: str) -> np.ndarray:
     """(4, 4) rectified camera to pose frame."""
-    key = f"R_rect_{camera[-2:]}"
     rectification = np.eye(4)
-    try:
-        rectification[:3, :3] = rotation(perspective.matrix(key, (3, 3)))
-    except ValueError as error:
-        raise perspective.fault(key, str(error)) from error
+    rectification[:3, :3] = perspective.matrix(f"R_rect_{camera[-2:]}", (3, 3), rotation)
     return np.asarray(mountings.mounting(camera) @ np.linalg.inv(rectification))

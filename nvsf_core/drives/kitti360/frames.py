@@ -271,7 +271,9 @@ def _read_lines(path: Path, count: int) -> dict[int, np.ndarray]:
             continue
         try:
             values = parse_numbers(line, count + 1)
-            frame = _frame_number(values[0])
+            if not 0 <= values[0] <= LAST_FRAME or values[0] != int(values[0]):
+                raise ValueError(f"expected a frame number, found {values[0]}")
+            frame = int(values[0])
             if frame in poses:
                 raise ValueError(f"frame {frame} has a pose already")
             if count == 16 and np.abs(values[13:] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
@@ -290,9 +292,3 @@ def _pose(frame: int, values: np.ndarray) -> np.ndarray:
         return rigid(values, FARTHEST_M)
     except ValueError as error:
         raise ValueError(f"frame {frame}: {error}") from error
-
-
-def _frame_number(value: float) -> int:
-    if not 0 <= value <= LAST_FRAME or value != int(value):
-        raise ValueError(f"expected a frame number, found {value}")
-    return int(value)

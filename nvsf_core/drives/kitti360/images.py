@@ -23,12 +23,7 @@ _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 
 
 def read_image(path: Path, width: int, height: int) -> np.ndarray:
-    """Read an image as (height, width, 3) uint8 RGB.
-
-    Args:
-        path: A PNG file with 8 bits a channel, or a JPEG.
-        width: Expected columns, pixels.
-        height: Expected rows, pixels.
+    """Read a PNG file with 8 bits a channel, or a JPEG, as (height, width, 3) uint8 RGB.
 
     Raises:
         DataError: See `decode_picture`; or the file is absent or too large.
@@ -46,13 +41,7 @@ def read_image_bytes(path: Path, width: int, height: int) -> bytes:
 
 
 def decode_image(path: Path, data: bytes, width: int, height: int) -> np.ndarray:
-    """Validate and decode an image: (height, width, 3) uint8 RGB.
-
-    Args:
-        path: The file, for messages.
-        data: Its bytes.
-        width: Expected columns, pixels.
-        height: Expected rows, pixels.
+    """Validate and decode an image's bytes: (height, width, 3) uint8 RGB.
 
     Raises:
         DataError: It is damaged, or of another size, depth or orientation.
@@ -180,13 +169,7 @@ _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
 def decode_picture(path: Path, data: bytes, width: int, height: int) -> np.ndarray:
-    """Validate and decode a PNG or JPEG: (height, width, 3) uint8 RGB, in the stored orientation.
-
-    Args:
-        path: The file, for messages.
-        data: Its bytes.
-        width: Expected columns, pixels.
-        height: Expected rows, pixels.
+    """Validate and decode bytes of a PNG or JPEG: (height, width, 3) uint8 RGB, in the stored orientation.
 
     Raises:
         DataError: It is damaged, or of another size or depth.

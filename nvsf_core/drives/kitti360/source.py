@@ -52,7 +52,11 @@ class Kitti360Drive(AbstractDrive):
         used = scene.cameras if scene.cameras is not None else CAMERAS
         places = [layout.scan_path(0).parent, *(layout.camera_dir(name) for name in CAMERAS)]
         folders = tuple(place for place in places if place.is_dir())
-        wanted = [path for path in _frame_files(layout, scene, used) if path.parent in folders]
+        wanted = [
+            path for frame in self.frames
+            for path in (layout.scan_path(frame), *(layout.image_path(camera, frame) for camera in used))
+            if path.parent in folders
+        ]  # fmt: skip
         frames = recorded_frames(layout)
         needed = [layout.poses_path, layout.calibration_dir]
         return Section(
@@ -144,12 +148,6 @@ def _common_files(layout: DriveLayout) -> Iterator[Path]:
     yield from (layout.timestamps_path(kind) for kind in ("", "start", "end"))
     yield from (layout.camera_timestamps_path(camera) for camera in CAMERAS)
     yield from layout.boxes_paths
-
-
-def _frame_files(layout: DriveLayout, scene: SceneEntry, cameras: tuple[str, ...]) -> Iterator[Path]:
-    for frame in range(scene.first_frame, scene.last_frame + 1):
-        yield layout.scan_path(frame)
-        yield from (layout.image_path(camera, frame) for camera in cameras)
 
 
 def _below(path: Path, layout: DriveLayout) -> str:

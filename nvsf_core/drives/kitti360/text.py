@@ -1,6 +1,7 @@
 """Reading of a drive's files up to a size limit, and parsing of numbers, rigid transforms and keyed lines."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from os.path import lexists
 from pathlib import Path
@@ -161,15 +162,18 @@ class KeyedText:
             )
         return self.lines[key][1]
 
-    def matrix(self, key: str, shape: tuple[int, ...]) -> np.ndarray:
-        """The numbers of a key, float64 of that shape.
+    def matrix(
+        self, key: str, shape: tuple[int, ...], read: Callable[[np.ndarray], np.ndarray] = np.asarray
+    ) -> np.ndarray:
+        """The numbers of a key, float64 of that shape, or what `read` makes of them.
 
         Raises:
-            CalibrationError: There is no such key, or another number of finite numbers.
+            CalibrationError: There is no such key, or another number of finite numbers, or `read` raised a
+                ValueError.
         """
         text = self.word(key)
         try:
-            return parse_numbers(text, int(np.prod(shape))).reshape(shape)
+            return read(parse_numbers(text, int(np.prod(shape))).reshape(shape))
         except ValueError as error:
             raise self.fault(key, str(error)) from error
 
@@ -193,11 +197,7 @@ class KeyedText:
         Raises:
             CalibrationError: There is no such key, or its value is not a rigid transform.
         """
-        values = self.matrix(key, (3, 4))
-        try:
-            return rigid(values, _LONGEST_ARM_M)
-        except ValueError as error:
-            raise self.fault(key, str(error)) from error
+        return self.matrix(key, (3, 4), lambda values: rigid(values, _LONGEST_ARM_M))
 
 
 def read_mounting(path: Path) -> np.ndarray:
@@ -228,11 +228,6 @@ def read_calibration_text(path: Path) -> str:
 
 def read_bytes(path: Path, most_bytes: int, what: str) -> bytes:
     """The bytes of a regular file; its size is checked before it is read.
-
-    Args:
-        path: The file.
-        most_bytes: Largest possible size of such a file.
-        what: `scan` or `image`, for the message.
 
     Raises:
         DataError: It is absent, a folder, a pipe or a device, or too large.

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from nvsf_core.metrics.norms import intensity_spread, spread_distance
-from nvsf_core.recording.drive import Recording, Sweeps
+from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.simulation.scan import returns_of_sweep
 from nvsf_core.simulation.scene_model import SceneModel
@@ -97,7 +97,8 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
     )  # fmt: skip
     returned = returns_of_sweep(rays, rendered)
     place = f"training frame {int(sweeps.arrays['frame'][scan])}"
-    recorded = _recorded_intensity(sweeps, scan, lasers)
+    part = sweeps.returns_of(scan)
+    recorded = sweeps.arrays["intensity"][part][np.isin(sweeps.arrays["laser"][part], lasers)]
     rate = float(returned.mean()) - len(recorded) / (len(lasers) * float(norms.firings[middle]))
     spreads = []
     intensity = np.clip(rendered.intensity[returned], 0.0, 1.0)
@@ -108,13 +109,6 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
         _within_limits(rendered, recording.lidar.far_m * LEVER, place),
         *check_likeness(TRAINED_HIT_RATE, TRAINED_INTENSITY, [(rate, place)], spreads, norms),
     ]
-
-
-def _recorded_intensity(sweeps: Sweeps, scan: int, lasers: np.ndarray) -> np.ndarray:
-    """(m,) intensities, 0..1, of the returns of `lasers` in a scan."""
-    part = sweeps.returns_of(scan)
-    found: np.ndarray = sweeps.arrays["intensity"][part][np.isin(sweeps.arrays["laser"][part], lasers)]
-    return found
 
 
 def _within_limits(rendered: RenderedRays, far_m: float, place: str) -> Check:

@@ -30,11 +30,6 @@ class _Image:
     apart: float
     apart_limit: float
 
-    @property
-    def is_blank(self) -> bool:
-        """Whether it fails the check `BLANK`."""
-        return self.deviation < self.blank_below or not self.has_depth
-
     def in_words(self) -> str:
         """Its place, its deviation and limit, and whether depth is missing, or its camera saw little, too."""
         depth = "" if self.has_depth else ", no pixel has a finite depth"
@@ -56,7 +51,7 @@ def check_images(task: Task) -> list[Check]:
     if not images:
         reason = "no rendered image with training images of its camera"
         return [named.not_run(reason) for named in (BLANK, GREYS)]
-    blank = [image for image in images if image.is_blank]
+    blank = [image for image in images if image.deviation < image.blank_below or not image.has_depth]
     named = blank[:_NAMED] or [min(images, key=lambda image: image.deviation / image.blank_below)]
     words = "; ".join(image.in_words() for image in named)
     found = f"{len(blank)} of {len(images)} images are blank; {'' if blank else 'plainest '}{words}"

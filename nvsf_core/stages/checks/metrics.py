@@ -18,6 +18,7 @@ from nvsf_core.stages.checks.norms import (
     read_norms,
 )
 from nvsf_core.stages.runner.stage import Check, Task
+from nvsf_core.stages.scoring.lidar import part
 from nvsf_core.stores.arrays import read_arrays, read_attrs
 from nvsf_core.stores.tables import read_rows
 
@@ -111,17 +112,13 @@ def _as_recorded(task: Task, view: Path) -> list[Check]:
     rendered = read_arrays(view, "frame", "offsets", "intensity")
     rates, spreads = Apart(), Apart()
     for i, frame in enumerate(rendered["frame"].tolist()):
-        own = _scan(rendered, i)
+        own = rendered["intensity"][part(rendered["offsets"], i)]
         for k in np.flatnonzero(recorded["frame"] == frame)[:1].tolist():
-            truth, rays = _scan(recorded, k), norms.lasers * int(recorded["firings"][k])
+            truth = recorded["intensity"][part(recorded["offsets"], k)]
+            rays = norms.lasers * int(recorded["firings"][k])
             if rays > 0:
                 rates.append(((len(own) - len(truth)) / rays, f"frame {frame}"))
             if len(own) and len(truth) and np.isfinite(own).all():
                 apart = spread_distance(intensity_spread(own), intensity_spread(truth))
                 spreads.append((apart, f"frame {frame}"))
     return check_likeness(HELD_OUT_HIT_RATE, HELD_OUT_INTENSITY, rates, spreads, norms)
-
-
-def _scan(arrays: dict[str, np.ndarray], i: int) -> np.ndarray:
-    found: np.ndarray = arrays["intensity"][arrays["offsets"][i] : arrays["offsets"][i + 1]]
-    return found

@@ -35,12 +35,6 @@ def are_parallel(first: CameraRecord, second: CameraRecord) -> bool:
 
 def _by_axis(cameras: Mapping[str, CameraRecord]) -> list[str]:
     """Cameras that look ahead, as nearly as the one that does so most."""
-    ahead = np.array([1.0, 0.0, 0.0])
-    off_deg = {name: _angle_deg(one.in_lidar[:3, 2], ahead) for name, one in cameras.items()}
+    axes = {name: one.in_lidar[:3, 2] for name, one in cameras.items()}
+    off_deg = {name: np.degrees(np.arctan2(np.hypot(y, z), x)) for name, (x, y, z) in axes.items()}
     return [name for name, off in off_deg.items() if off <= min(off_deg.values()) + _ALIKE_DEG]
-
-
-def _angle_deg(first: np.ndarray, second: np.ndarray) -> float:
-    """Angle between two directions (3,)."""
-    across = float(np.linalg.norm(np.cross(first, second)))
-    return float(np.degrees(np.arctan2(across, float(first @ second))))

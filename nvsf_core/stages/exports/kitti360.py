@@ -100,10 +100,7 @@ def _stamps_from_0(numbers: Sequence[int], stamp_s: np.ndarray, period_s: float)
 def object_numbers(objects: Mapping[int, str]) -> dict[int, int]:
     """The layout's number of each object, class * 1000 + instance, the same in boxes and in images.
 
-    An object of a drive in this layout keeps its number.
-
-    Args:
-        objects: Number in the data set to label.
+    An object of a drive in this layout keeps its number. `objects` gives each number's label.
 
     Raises:
         DataError: A class has more than 1000 objects.

@@ -104,8 +104,7 @@ class RenderedView:
         then its camera is left out of these formats.
         """
         a = self.arrays
-        numbers = self.numbers
-        order = np.argsort(numbers)
+        order = np.argsort(self.numbers)
         whole = [name for name in cameras_of(a) if np.array_equal(a[f"{name}_frame"], a["frame"])]
         models, mounts = camera_models(self.attrs), self.attrs["camera_in_lidar"]
         table = self.attrs["instances"]
@@ -114,17 +113,15 @@ class RenderedView:
             at = int(order[index])
             instances = a.get(f"{camera}_instance")
             return ImageRecord(
-                camera=camera, number=numbers[at], rgb=a[f"{camera}_rgb"][at],
-                **self.image_times(camera, at),
-                camera_to_world=a[f"{camera}_camera_to_world"][at],
+                rgb=a[f"{camera}_rgb"][at],
                 depth_m=depth_m(models[camera], a[f"{camera}_range_m"][at]),
                 object_id=None if instances is None else object_ids(instances[at], table),
             )  # fmt: skip
 
         return DataSet(
-            name=self.entry.name, sequence=self.sequence, numbers=[numbers[at] for at in order],
-            stamp_s=a["stamp_s"][order], time_s=a["time_s"][order], lidar_to_world=a["lidar_to_world"][order],
-            sweep_period_s=float(self.attrs.get("sweep_period_s", 0.0)), sensor=self.attrs["sensor"],
+            name=self.entry.name, sequence=self.sequence, numbers=np.sort(self.numbers).tolist(),
+            stamp_s=a["stamp_s"][order], lidar_to_world=a["lidar_to_world"][order],
+            sweep_period_s=float(self.attrs.get("sweep_period_s", 0.0)),
             cameras={name: _camera(models[name], mounts[name]) for name in whole},
             scan=(lambda index: self.scan(int(order[index]))) if "points_m" in a else None,
             image=image, boxes=lambda index: boxes(float(a["time_s"][order[index]])),

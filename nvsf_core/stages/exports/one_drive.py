@@ -50,13 +50,9 @@ def _later_s(
     after: Mapping[str, Any],
     after_begin: tuple[int, float],
 ) -> float:
-    """Seconds from the beginning of one part's clock to that of the next.
+    """Seconds from the beginning of one part's clock to that of the next, by the parts' manifests.
 
-    Args:
-        before: Manifest of the one part.
-        before_begin: Its first frame, and when that is on the manifest's clock.
-        after: Manifest of the next part.
-        after_begin: The same of the next part.
+    Begins are a part's first frame, and when that is on the manifest's clock.
     """
     sooner, later = _seconds(before), _seconds(after)
     shared = sorted(set(sooner) & set(later))

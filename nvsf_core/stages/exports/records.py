@@ -40,14 +40,8 @@ class ScanRecord:
 class ImageRecord:
     """One image of a camera."""
 
-    camera: str
-    number: int
     rgb: np.ndarray
     """(H, W, 3) uint8."""
-    stamp_s: float
-    time_s: float
-    camera_to_world: np.ndarray
-    """(4, 4) metres."""
     depth_m: np.ndarray
     """(H, W) float32 along the optical axis, of a fisheye along the ray, metres; 0 = not known."""
     object_id: np.ndarray | None = None
@@ -86,13 +80,9 @@ class DataSet:
     """Of its n instants, for file names, ascending."""
     stamp_s: np.ndarray
     """(n,) on the sensor's clock."""
-    time_s: np.ndarray
-    """(n,) instants of the scene."""
     lidar_to_world: np.ndarray
     """(n, 4, 4)."""
     sweep_period_s: float
-    sensor: str
-    """Name of the LiDAR; empty without one."""
     cameras: Mapping[str, CameraRecord]
     scan: Callable[[int], ScanRecord] | None
     """The scan of an instant 0..n-1; None without a LiDAR."""

@@ -49,10 +49,7 @@ def write_data_set(
 ) -> dict[str, Any]:
     """Write all files of a data set; the manifest's entries on them.
 
-    Args:
-        folder: Folder of the data set.
-        view: The rendered view.
-        boxes: The objects at an instant of the scene, in seconds.
+    `boxes` gives the objects at an instant of the scene, in seconds.
     """
     a = view.arrays
     scans = [_scan(folder, view, index) for index in range(len(a["time_s"]))] if "points_m" in a else []
@@ -87,11 +84,8 @@ def finish_data_set(folder: Path, manifest: Mapping[str, Any]) -> None:
 def rewrite_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Replace a data set's manifest and card, each at once; all other files stay as they are.
 
-    The manifest keeps the time of the one before: it says when the data set was made.
-
-    Args:
-        folder: Folder of the data set.
-        manifest: The new manifest's entries, with the checksums of the files that stay.
+    The manifest keeps the time of the one before: it says when the data set was made. The new entries have
+    the checksums of the files that stay.
     """
     made = (folder / MANIFEST_NAME).stat()
     # What a killed process leaves of it is removed when the next is published beside it.

@@ -56,14 +56,8 @@ def sweep_arrays(
 def own_panos(task: Task, poses: np.ndarray, plan: SweepPlan, render: PanoRenderer) -> dict[str, np.ndarray]:
     """The panos of a model that renders the range image's own rays; 0 where no return is expected.
 
-    Args:
-        task: Task of the stage, for its progress.
-        poses: (n, 4, 4) LiDAR to scene-local, metres.
-        plan: Instants of the sweeps.
-        render: The model's pano renderer.
-
-    Returns:
-        `pano_range_m`, `pano_intensity` and `pano_hit`, each (n, H, W).
+    They are `pano_range_m`, `pano_intensity` and `pano_hit`, each (n, H, W), at poses (n, 4, 4) of the LiDAR
+    to scene-local, metres.
     """
 
     def pano(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -121,16 +121,6 @@ def asked_view(recording: Recording, entry: ViewEntry) -> View | None:
     return View(plan=plan, sweeps=sweeps, images=images, other_cameras=other)
 
 
-def reference_poses(recording: Recording, plan: ViewPlan) -> np.ndarray:
-    """(n, 4, 4) scene-local poses of the view's LiDAR; in a camera-only drive of its nominal place."""
-    return plan.poses(recording.trajectory)
-
-
-def to_world(recording: Recording, poses: np.ndarray) -> np.ndarray:
-    """Scene-local poses (n, 4, 4) moved to the world, metres."""
-    return np.asarray(recording.trajectory.scene_to_world @ poses)
-
-
 def plan_arrays(plan: ViewPlan) -> dict[str, np.ndarray]:
     """Arrays of the data contract on a plan: its instants, and its path if it is not the drive's."""
     arrays = {
@@ -166,7 +156,7 @@ def stored_plan(path: Path, attrs: Mapping[str, Any] | None = None) -> ViewPlan:
 
 def placed(recording: Recording, view: View) -> dict[str, np.ndarray]:
     """Arrays of the data contract on a view's instants and poses."""
-    poses = to_world(recording, reference_poses(recording, view.plan))
+    poses = recording.trajectory.scene_to_world @ view.plan.poses(recording.trajectory)
     return plan_arrays(view.plan) | {"lidar_to_world": poses} | _clocks(recording, view)
 
 

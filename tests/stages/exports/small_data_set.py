@@ -54,11 +54,7 @@ def depth(index: int) -> np.ndarray:
 
 def image(camera: str, index: int) -> ImageRecord:
     rgb = np.random.default_rng(index).integers(0, 255, (PINHOLE.height, PINHOLE.width, 3)).astype(np.uint8)
-    return ImageRecord(
-        camera=camera, number=NUMBERS[index], rgb=rgb, stamp_s=float(STAMPS[index]),
-        time_s=float(STAMPS[index]), camera_to_world=POSES[index] @ IN_LIDAR, depth_m=depth(index),
-        object_id=OBJECT_IDS,
-    )  # fmt: skip
+    return ImageRecord(rgb=rgb, depth_m=depth(index), object_id=OBJECT_IDS)
 
 
 def boxes(index: int) -> list[BoxRecord]:
@@ -72,8 +68,8 @@ def boxes(index: int) -> list[BoxRecord]:
 
 def data_set() -> DataSet:
     return DataSet(
-        name="small", sequence="2013_05_28_drive_0000_sync", numbers=NUMBERS, stamp_s=STAMPS, time_s=STAMPS,
-        lidar_to_world=POSES, sweep_period_s=PERIOD_S, sensor="HDL-64E",
+        name="small", sequence="2013_05_28_drive_0000_sync", numbers=NUMBERS, stamp_s=STAMPS,
+        lidar_to_world=POSES, sweep_period_s=PERIOD_S,
         cameras={"image_00": CameraRecord(model=PINHOLE, in_lidar=IN_LIDAR)}, scan=scan, image=image,
         boxes=boxes,
     )  # fmt: skip

@@ -89,7 +89,7 @@ def test_images_have_intrinsics_and_place(root: Path, tables: dict[str, Any]) ->
         calibrated = tables["calibrated_sensor"][row["calibrated_sensor_token"]]
         assert np.allclose(calibrated["camera_intrinsic"], small.PINHOLE.matrix)
         pose = _pose(tables["ego_pose"][row["ego_pose_token"]]) @ _pose(calibrated)
-        assert np.allclose(pose, small.image("image_00", index).camera_to_world, atol=1e-6)
+        assert np.allclose(pose, small.POSES[index] @ small.IN_LIDAR, atol=1e-6)
 
 
 def test_each_camera_of_a_rig_has_a_channel_and_its_images(tmp_path: Path) -> None:
