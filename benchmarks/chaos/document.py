@@ -35,16 +35,11 @@ def head(rounds: Sequence[Row]) -> str:
 def counts(rows: Sequence[Row]) -> str:
     """Each kind of event, how often it came, and how often something was lost."""
     kinds = {row["event"]: row["what"] for row in rows}
-    lines = [
-        [what, sum(row["event"] == event for row in rows), _faulty(rows, event)]
-        for event, what in sorted(kinds.items(), key=lambda one: one[1])
-    ]
-    lines.append(["all", len(rows), sum(bool(row["faults"]) for row in rows)])
+    lines = list[list[object]]()
+    for event, what in (*sorted(kinds.items(), key=lambda one: one[1]), ("", "all")):
+        own = [row for row in rows if event in ("", row["event"])]
+        lines.append([what, len(own), sum(bool(row["faults"]) for row in own)])
     return documents.markdown_table(["event", "times", "with a fault"], lines, "| --- | ---: | ---: |")
-
-
-def _faulty(rows: Sequence[Row], event: str) -> int:
-    return sum(row["event"] == event and bool(row["faults"]) for row in rows)
 
 
 def each(rows: Sequence[Row]) -> str:

@@ -15,12 +15,12 @@ from typing import Any
 
 import torch
 
-from benchmarks.common.documents import DOCS, RESULTS_DIR, commit, write_json
+from benchmarks.common.documents import DOCS, RESULTS_DIR, Row, commit, write_json
 from benchmarks.gpu.document import PARTS, page
 from benchmarks.gpu.kernels import kernel_rows
 from benchmarks.gpu.paper import step_rows, training_rows
 from benchmarks.gpu.plan import Plan, full_plan, smoke_plan
-from benchmarks.gpu.tests import Row, test_rows
+from benchmarks.gpu.tests import test_rows
 from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_environment
 from nvsf_core.stages.runner.host import machine
 

@@ -3,9 +3,8 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from benchmarks.common.documents import markdown_table
+from benchmarks.common.documents import Row, markdown_table
 
-Row = dict[str, Any]
 Measured = Mapping[str, Mapping[str, Mapping[str, Any]]]
 """By part and scene ("" where there is none): the machine, the commit, and rows."""
 PARTS = {

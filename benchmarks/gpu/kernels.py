@@ -10,9 +10,8 @@ from statistics import median
 import torch
 from torch import Tensor
 
+from benchmarks.common.documents import Row
 from benchmarks.gpu.plan import Plan
-from benchmarks.gpu.tests import Row
-from benchmarks.kernels.hash_grid import samples_on_rays
 from nvsf_core.encodings import HashGrid
 from nvsf_core.kernels import GridLayout, hash_grid_encode, planes_sample
 
@@ -20,6 +19,7 @@ _COPIED = 1 << 30
 """Bytes of the copy that the bandwidth is measured by, on a GPU."""
 _PLANE = (8, 256, 256)
 """Of the paper's finest scale: features, rows, columns."""
+_SAMPLES_PER_RAY = 32
 
 
 def kernel_rows(plan: Plan) -> list[Row]:
@@ -53,6 +53,14 @@ def kernel_rows(plan: Plan) -> list[Row]:
     ):
         rows.append(_row("plane, 8 x 256 x 256", kernel, call, truth, least_bytes, bytes_per_s, plan))
     return rows
+
+
+def samples_on_rays(points: int, generator: torch.Generator) -> Tensor:
+    """Positions (points, 3) in runs of near neighbours, as rays make them; `points` a multiple of 32."""
+    rays = points // _SAMPLES_PER_RAY
+    origins = torch.rand(rays, 1, 3, generator=generator)
+    directions = torch.randn(rays, 1, 3, generator=generator)
+    return (origins + torch.linspace(0, 0.05, _SAMPLES_PER_RAY)[:, None] * directions).reshape(-1, 3)
 
 
 Call = tuple[str, Callable[[], Tensor], int]

@@ -73,16 +73,13 @@ def _trained(plan: Plan, scene: SceneEntry, name: str, recipe: Recipe | None) ->
     )  # fmt: skip
     found = read_result(run(setting, name, 0, recipe))
     assert found is not None
+    peak_mb = torch.cuda.max_memory_allocated() / 2**20 if recipe and torch.cuda.is_available() else None
     facts, parts = found["run"], found["run"].get("clock_seconds", {})
     return {
         "scene": scene.name, "method": name, "protocol": facts["protocol"],
         "steps": recipe.optimiser.steps if isinstance(recipe, PaperRecipe) else None,
         "train_s": facts["train_seconds"], "lidar_s": parts.get(LIDAR), "camera_s": parts.get(CAMERA),
         "sweep_s": facts.get("sweep_seconds"),
-        "image_s": facts.get("image_seconds"), "peak_gpu_mb": _peak_gpu_mb() if recipe else None,
+        "image_s": facts.get("image_seconds"), "peak_gpu_mb": peak_mb,
         **{point["metric"]: point["value"] for point in found["points"] if point["mark"] is None},
     }  # fmt: skip
-
-
-def _peak_gpu_mb() -> float | None:
-    return torch.cuda.max_memory_allocated() / 2**20 if torch.cuda.is_available() else None

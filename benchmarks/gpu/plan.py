@@ -4,11 +4,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from benchmarks.kernels.hash_grid import LAYOUTS
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.kernels import GridLayout
 from nvsf_core.recipe import PaperRecipe, Recipe, ResidualRecipe, TrainingSpec, preset
+
+LAYOUTS = {
+    "8 levels, F 2, T 2^17, 16..2048": GridLayout(8, 2, 17, 16, 2048),
+    "8 levels, F 4, T 2^19, 16..2048": GridLayout(8, 4, 19, 16, 2048),
+    "paper: 8 levels, F 4, T 2^19, 512..32768": GridLayout(8, 4, 19, 512, 32768),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

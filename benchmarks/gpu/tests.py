@@ -6,10 +6,8 @@ import tempfile
 from pathlib import Path
 from xml.etree import ElementTree
 
-from benchmarks.common.documents import ROOT
+from benchmarks.common.documents import ROOT, Row
 from benchmarks.gpu.plan import Plan
-
-Row = dict[str, object]
 
 
 def test_rows(plan: Plan) -> list[Row]:

@@ -88,7 +88,7 @@ class Templates:
         for _ in range(int(random.choice([1, 1, 1, 2, 3]))):
             path = one_of(files, random)
             if _is_plain(path):
-                kinds.append(_drive_kind(path))
+                kinds.append({".bin": "scan", ".png": "image", ".xml": "boxes"}.get(path.suffix, path.name))
                 how.append(mutate(path, random))
         return Case("+".join(kinds), ", ".join(how), lambda: self._end_of_drive(place))
 
@@ -219,10 +219,6 @@ def _odd_value(path: Path, random: Random) -> str:
         lines[at] = f"{lines[at].split(' = ')[0]} = {one_of(values, random)}"
         path.write_text("\n".join(lines))
     return "odd value"
-
-
-def _drive_kind(path: Path) -> str:
-    return {".bin": "scan", ".png": "image", ".xml": "boxes"}.get(path.suffix, path.name)
 
 
 def _is_plain(path: Path) -> bool:

@@ -6,7 +6,6 @@ from typing import Any
 
 from benchmarks.common.documents import markdown_table
 
-KINDS = ("refused", "doubted", "healed", "harmless", "silent", "raw error", "hang", "crash")
 FAULTS = ("raw error", "hang", "crash")
 _MOST_SILENT = 25
 _MEANING = {
@@ -27,9 +26,9 @@ def counts(rows: Sequence[Mapping[str, Any]]) -> str:
     for subject in (*sorted({row["subject"] for row in rows}), "all"):
         found = Counter(row["kind"] for row in rows if subject in (row["subject"], "all"))
         lines.append(
-            [subject, *(f"{count:,}" for count in (found.total(), *(found[kind] for kind in KINDS)))]
+            [subject, *(f"{count:,}" for count in (found.total(), *(found[kind] for kind in _MEANING)))]
         )
-    table = markdown_table(["harmed", "cases", *KINDS], lines, "| --- |" + " ---: |" * (len(KINDS) + 1))
+    table = markdown_table(["harmed", "cases", *_MEANING], lines, "| --- |" + " ---: |" * (len(_MEANING) + 1))
     words = "; ".join(f"{kind}: {meaning}" for kind, meaning in _MEANING.items())
     return f"{table}\n{words[0].upper()}{words[1:]}.\n"
 

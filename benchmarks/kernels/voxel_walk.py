@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common.documents import ROOT, write_measured
-from benchmarks.kernels.voxel_walk_table import WALK_RESULTS
-from benchmarks.tables.results_table import write
+from benchmarks.tables.results_table import WALK_RESULTS, write
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.evidence.surfels import Surfels, build_both, candidates_of
 from nvsf_core.recipe import EvidenceSpec

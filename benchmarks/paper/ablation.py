@@ -48,7 +48,6 @@ from nvsf_core.stages.runner.run import (
     say_on_stderr,
     write_demo_where_absent,
 )
-from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.moving_boxes import read_moving_boxes
 from nvsf_core.stores.arrays import read_arrays
 from nvsf_core.stores.checkpoints import StoredWeights
@@ -113,10 +112,8 @@ def _run(scene: Scene, recipe: PaperRecipe, seed: int) -> list[Row]:
     plan = plan_run(scene.run.scene, scene.run.store.home, recipe=recipe, seed=seed)
     place = f"ablation/{recipe.name}/{seed}"
     work = plan.store.work_dir(place)
-    task = Task(
-        scene=plan.scene, store=plan.store, config=plan.config, folder=work, progress=say_on_stderr
-    )  # fmt: skip
-    trained = train_on_frames(recipe, scene.recording, scene.frames, StageSession(task, work))
+    session = StageSession(plan.task(work, say_on_stderr), work)
+    trained = train_on_frames(recipe, scene.recording, scene.frames, session)
     model = load(recipe, StoredWeights(trained.tensors, trained.facts, work), scene.recording)
     rows = rows_of(_scored(scene, model), plan.scene.name, recipe.name, seed)
     plan.store.drop_work_dir(place)

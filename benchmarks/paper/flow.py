@@ -32,7 +32,6 @@ from nvsf_core.stages.runner.run import (
     say_on_stderr,
     write_demo_where_absent,
 )
-from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stages.scoring.demo_truth import read_demo_truth
 
 RESULTS = RESULTS_DIR / "flow.json"
@@ -89,8 +88,7 @@ def demo_motions() -> tuple[list[TrueMotion], Bounds]:
     run = plan_run(scene, home)
     for stage in ("frames", "sweeps"):
         run_named_stage(stage, run, say_on_stderr)
-    task = Task(scene=scene, store=run.store, config=run.config, folder=home, progress=say_on_stderr)
-    sweeps, truth = read_sweeps(run.store), read_demo_truth(task)
+    sweeps, truth = read_sweeps(run.store), read_demo_truth(run.task(home, say_on_stderr))
     if sweeps is None or truth is None or not truth.is_of_this_drive:
         raise SystemExit(f"{scene.root}: expected the drive that this code writes; remove it and run again")
     bounds = scene_cube(sweeps)

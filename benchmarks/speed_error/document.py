@@ -70,7 +70,10 @@ def write_document(results: Path, document: Path = DOCUMENT) -> Path:
         picture = pictures / f"{scene}-{split}.png"
         picture.write_bytes(curves_png(runs))
         sizes = found.get((scene, VAL), []) if split == FULL else []
-        parts += [f"## {scene}, split {split}\n", f"{provenance(runs)} {_duration(runs, sizes)}\n"]
+        minutes = sum(run["run"]["run_seconds"] for run in (*runs, *sizes)) / 60.0
+        also = ", the six sizes among them" if sizes else ""
+        words = f"These runs took {minutes:.1f} minutes, scoring included{also}."
+        parts += [f"## {scene}, split {split}\n", f"{provenance(runs)} {words}\n"]
         parts.append(f"![error over training time]({pictures.name}/{picture.name})\n")
         parts += [_error_table(runs), _cost_table(runs)]
     parts += [_growth(found), _sizes(found)]
@@ -78,13 +81,6 @@ def write_document(results: Path, document: Path = DOCUMENT) -> Path:
         parts.append("Nothing has been measured yet.\n")
     document.write_text("\n".join(part for part in parts if part))
     return document
-
-
-def _duration(runs: Sequence[Run], sizes: Sequence[Run]) -> str:
-    """How long it took to measure, in words."""
-    minutes = sum(run["run"]["run_seconds"] for run in (*runs, *sizes)) / 60.0
-    also = ", the six sizes among them" if sizes else ""
-    return f"These runs took {minutes:.1f} minutes, scoring included{also}."
 
 
 def _error_table(runs: Sequence[Run]) -> str:

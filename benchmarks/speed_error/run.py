@@ -44,7 +44,7 @@ from nvsf_core.stages.runner.run import (
     say_on_stderr,
     write_demo_where_absent,
 )
-from nvsf_core.stages.runner.stage import Observer, Progress, RunConfig, Task
+from nvsf_core.stages.runner.stage import Observer, Progress, RunConfig
 from nvsf_core.stores.checkpoints import StoredWeights, load_tensors
 from nvsf_core.stores.scene_store import SceneStore
 
@@ -224,10 +224,8 @@ def _train(setting: Setting, recording: Recording, recipe: Recipe, seed: int, ob
             place = f"field/{recipe.name}/{seed}"
             setting.store.drop_work_dir(place)
             work = setting.store.work_dir(place)
-        task = Task(
-            scene=scene_run.scene, store=setting.store, config=scene_run.config, folder=work,
-            progress=setting.progress, observe=observe, made_from=field_made_from(scene_run),
-        )  # fmt: skip
+        made_from = field_made_from(scene_run)
+        task = replace(scene_run.task(work, setting.progress), observe=observe, made_from=made_from)
         return family_of(recipe).train(recipe, recording, StageSession(task, work))
 
 

@@ -16,8 +16,8 @@ from benchmarks.tables.measured import (
     cell,
     commits_of,
     mean_of,
+    of_same_views,
 )
-from benchmarks.tables.same_views import of_same_views
 from benchmarks.tables.targets import BETTER_THAN, COSTS, NEVER_WORSE, OTHER, SHIFTS, TARGETS
 from nvsf_core.metrics.table import BASELINES, HELD_OUT
 

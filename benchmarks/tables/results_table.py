@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common.documents import ROOT, Row, markdown_table, write_between, write_json
-from benchmarks.kernels.voxel_walk_table import walk_table
 from benchmarks.tables.measured import Column, by_method, cell, commits_of, rank
 from benchmarks.tables.results_document import as_document
 from benchmarks.tables.targets import OTHER
@@ -30,6 +29,8 @@ from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.record import made_s
 from nvsf_core.stores.tables import read_rows
 
+WALK_RESULTS = Path("benchmarks", "results", "voxel_walk.json")
+"""Of `benchmarks.kernels.voxel_walk`, in a checkout."""
 RECIPES = Path("benchmarks", "results", "recipes")
 """Where in a checkout the finished runs' results lie, a JSON a recipe."""
 _SCAN, _IMAGE = "lidar4d_scan", "image"
@@ -102,6 +103,31 @@ def of_one_commit(rows: Iterable[Row]) -> list[Row]:
     found = list(rows)
     commits = Counter(row["commit"] for row in found).most_common(1)
     return [row for row in found if [row["commit"]] == [commit for commit, _ in commits]]
+
+
+def walk_table(root: Path) -> str:
+    """The section of docs/results.md in a checkout; empty where nothing was measured."""
+    path = root / WALK_RESULTS
+    if not path.is_file():
+        return ""
+    facts = json.loads(path.read_text())
+    about = (
+        f"## The walk through the voxels\n\n"
+        f"`python -m benchmarks.kernels.voxel_walk`: million rays a second. *build*: all training returns to "
+        f"surfels of both kinds, see-throughs counted; *list*: the surfaces a ray may end on; *answer*: the "
+        f"range that `reproject` gives; its error is that of the held-out returns. "
+        f"Machine: {facts['machine']}. Commit {facts['commit']}. Target: a walk of at least 1.\n\n"
+    )
+    rates = ("build", "list", "answer")
+    rows = [
+        [
+            f"`{row['scene']}`", row["surfaces"], f"{row['voxel_m']:.2f}", f"{row['voxels']:,}",
+            *(f"{row[f'{name}_rays_s'] / 1e6:.2f}" for name in rates), f"{row['median_error_m']:.4f}",
+        ]
+        for row in facts["rows"]
+    ]  # fmt: skip
+    head = ["scene", "surfaces", "voxel m", "voxels", *rates, "median error m"]
+    return about + markdown_table(head, rows)
 
 
 def write(home: Path, root: Path) -> str:

@@ -11,9 +11,9 @@ import tempfile
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from benchmarks.common import documents
+from benchmarks.common.documents import Row
 from nvsf_core.drives.catalogue import home_from_environment, load_catalogue
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.reporting.scene_outputs import measured_scenes
@@ -37,7 +37,6 @@ first_frame = 0
 last_frame = 63
 test_frames = [12]
 """
-Row = dict[str, Any]
 
 
 def main() -> None:

@@ -29,10 +29,7 @@ def main() -> None:
     """Print the table, and write it into the page."""
     home, recipe = home_from_environment(os.environ), os.environ.get("RECIPE") or "quick"
     run = plan_run(find_scene(os.environ.get("SCENES") or "street"), home, recipe=recipe)
-    task = Task(
-        scene=run.scene, store=run.store, config=run.config, folder=home, progress=say_on_stderr
-    )  # fmt: skip
-    views = list(_scored(task, recipe))
+    views = list(_scored(run.task(home, say_on_stderr), recipe))
     rows = []
     for kind, metrics in ERRORS.items():
         mine = [one for one in views if (one.sensor == LIDAR) == (kind == "scans")]

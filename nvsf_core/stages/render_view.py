@@ -28,7 +28,7 @@ from nvsf_core.stages.runner.run import (
     say_on_stderr,
     write_demo_where_absent,
 )
-from nvsf_core.stages.runner.stage import Progress, Task
+from nvsf_core.stages.runner.stage import Progress
 from nvsf_core.stages.versions import reading_versions
 from nvsf_core.stages.views.instances import boxes_of, instance_arrays
 from nvsf_core.stages.views.view import asked_view, camera_models, placed, view_attrs
@@ -114,7 +114,7 @@ def render_view(
                 why = error.strerror or error
                 raise DataError(f"out: cannot write {target} ({why}); check space and rights") from error
             return target
-        task = Task(scene=run.scene, store=run.store, config=run.config, folder=place, progress=say)
+        task = run.task(place, say)
         location = f"dataset/{asked.name}/{dataset_version(task, asked, source_checksums(task))}"
         lock = file_lock(place / LOCKS / entry.name / f"{location}.lock", say, f"{location} of another run")
         with reading_versions(place, [entry.name], say), lock:
@@ -127,7 +127,7 @@ def render_view(
 
 
 def _write(run: SceneRun, asked: ViewEntry, folder: Path, say: Progress) -> None:
-    task = Task(scene=run.scene, store=run.store, config=run.config, folder=folder, progress=say)
+    task = run.task(folder, say)
     recording = read_recording(run.store)
     view = asked_view(recording, asked)
     if view is None:

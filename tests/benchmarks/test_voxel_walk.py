@@ -3,7 +3,7 @@
 import json
 
 from benchmarks.kernels.voxel_walk import measure
-from benchmarks.kernels.voxel_walk_table import WALK_RESULTS, walk_table
+from benchmarks.tables.results_table import WALK_RESULTS, walk_table
 from nvsf_core.recipe import preset
 from tests.stages.lidar_drive import proven_drive
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.clouds.open3d_room import load_open3d
-from nvsf_core.clouds.pcd import write_pcd
-from nvsf_core.clouds.ply import write_ply
+from nvsf_core.clouds.ply import write_pcd, write_ply
 from nvsf_core.drives.plain.clouds import read_pcd
 from nvsf_core.errors import ShapeError
 from tests.clouds.ply_reader import read_ply

@@ -10,9 +10,7 @@ from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import DataError, StoreError
 from nvsf_core.stages.optional_tools import tools_now_there
 from nvsf_core.stages.runner.contents import hashes_of
-from nvsf_core.stages.runner.disk_space import require_space
 from nvsf_core.stages.runner.facts import Facts, difference, facts_of, without_recipe
-from nvsf_core.stages.runner.kept_memory import keep_freed_memory
 from nvsf_core.stages.runner.later import Later
 from nvsf_core.stages.runner.record import (
     RECORD_NAME,
@@ -22,7 +20,7 @@ from nvsf_core.stages.runner.record import (
     read_record,
     removals_of,
 )
-from nvsf_core.stages.runner.resources import Meter, in_words
+from nvsf_core.stages.runner.resources import Meter, in_words, keep_freed_memory, require_space
 from nvsf_core.stages.runner.stage import Check, Outcome, Progress, RunConfig, Stage, Task, UnsoundOutputError
 from nvsf_core.stores.checksums import json_digest
 from nvsf_core.stores.documents import write_document

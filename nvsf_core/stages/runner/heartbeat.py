@@ -1,9 +1,9 @@
 """Progress lines at regular intervals while a stage works, even if it reports nothing."""
 
+import contextlib
 import threading
 import time
-from collections.abc import Callable
-from types import TracebackType
+from collections.abc import Callable, Iterator
 
 SILENCE_S = 4.0
 """Longest time without a progress line: nobody should have to wait for one longer than 5 s."""
@@ -22,36 +22,30 @@ def sparse(progress: Callable[[str], None], every_s: float = SILENCE_S) -> Calla
     return say
 
 
-class Heartbeat:
-    """Passes progress lines on; inside `with` it adds a line after `silence_s` without one."""
+@contextlib.contextmanager
+def heartbeat(
+    progress: Callable[[str], None], name: str, silence_s: float = SILENCE_S
+) -> Iterator[Callable[[str], None]]:
+    """Pass progress lines on; after `silence_s` without one, a thread adds lines that begin with `name`."""
+    lock, ended = threading.Lock(), threading.Event()
+    started_s = said_s = time.monotonic()
 
-    def __init__(self, progress: Callable[[str], None], name: str, silence_s: float = SILENCE_S) -> None:
-        """Wrap a progress; after `silence_s` a thread adds lines that begin with `name`."""
-        self._progress, self._name, self._silence_s = progress, name, silence_s
-        self._lock, self._ended = threading.Lock(), threading.Event()
-        self._started = self._said = time.monotonic()
-        self._thread = threading.Thread(target=self._watch, name=f"heartbeat {name}", daemon=True)
+    def say(line: str, /) -> None:
+        nonlocal said_s
+        with lock:
+            said_s = time.monotonic()
+            progress(line)
 
-    def __call__(self, line: str, /) -> None:
-        """Pass on a line."""
-        with self._lock:
-            self._said = time.monotonic()
-            self._progress(line)
+    def watch() -> None:
+        while not ended.wait(0.1 * silence_s):
+            now_s = time.monotonic()
+            if now_s - said_s >= silence_s:
+                say(f"{name}: at work for {now_s - started_s:.0f} s")
 
-    def __enter__(self) -> "Heartbeat":
-        """Start the watching thread."""
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Stop the watching thread."""
-        self._ended.set()
-        self._thread.join()
-
-    def _watch(self) -> None:
-        while not self._ended.wait(0.1 * self._silence_s):
-            now = time.monotonic()
-            if now - self._said >= self._silence_s:
-                self(f"{self._name}: at work for {now - self._started:.0f} s")
+    thread = threading.Thread(target=watch, name=f"heartbeat {name}", daemon=True)
+    thread.start()
+    try:
+        yield say
+    finally:
+        ended.set()
+        thread.join()

@@ -25,9 +25,9 @@ from nvsf_core.stages.runner.execution import (
     skipped_stage,
 )
 from nvsf_core.stages.runner.failures import forget_failure, remember_failure
-from nvsf_core.stages.runner.heartbeat import Heartbeat, sparse
+from nvsf_core.stages.runner.heartbeat import heartbeat, sparse
 from nvsf_core.stages.runner.locks import LOCKS, output_locks
-from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage, UnsoundOutputError
+from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage, Task, UnsoundOutputError
 from nvsf_core.stores.removal import number_kept
 from nvsf_core.stores.scene_store import SceneStore, require_home
 
@@ -44,6 +44,12 @@ class SceneRun:
     scene: SceneEntry
     store: SceneStore
     config: RunConfig
+
+    def task(self, folder: Path, progress: Progress) -> Task:
+        """A task of the run outside of its stages."""
+        return Task(
+            scene=self.scene, store=self.store, config=self.config, folder=folder, progress=progress
+        )  # fmt: skip
 
 
 def plan_run(
@@ -215,7 +221,7 @@ def _once(stage: Stage, run: SceneRun, by_name: Mapping[str, Stage], progress: P
         with (
             _device_for(stage, run, progress),
             output_locks(locks, place.location, inputs, progress),
-            Heartbeat(progress, f"[{run.scene.name}] {stage.name}") as say,
+            heartbeat(progress, f"[{run.scene.name}] {stage.name}") as say,
         ):
             outcome = run_stage(place, say)
     if stage.tidy is not None:

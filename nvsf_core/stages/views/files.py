@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nvsf_core.clouds.pcd import write_pcd
-from nvsf_core.clouds.ply import write_ply
+from nvsf_core.clouds.ply import write_pcd, write_ply
 from nvsf_core.drives.kitti360.scans import write_scan
 from nvsf_core.drives.kitti360.writer import write_grey, write_image
 from nvsf_core.errors import DataError

@@ -12,7 +12,7 @@ from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.errors import StoreError
 from nvsf_core.stages import STAGES
 from nvsf_core.stages.imports.convert import import_drive
-from nvsf_core.stages.runner import disk_space
+from nvsf_core.stages.runner import resources
 from nvsf_core.stages.runner.run import run_scene
 from nvsf_core.stages.runner.stage import Stage, StageOutput
 
@@ -61,8 +61,8 @@ def test_sweeps_that_do_not_fit_are_refused_by_the_size_of_the_scans(
     run_scene(entry, tmp_path, progress=str, stages=STAGES[:1])
     words = f"stage sweeps: not begun, for it writes about {estimate:,} MB"
     with monkeypatch.context() as patched:
-        patched.setattr(disk_space, "_MB", 1.0)  # the message's figures in bytes
-        patched.setattr(disk_space, "SPARE_BYTES", EXABYTE)
+        patched.setattr(resources, "_MB", 1.0)  # the message's figures in bytes
+        patched.setattr(resources, "SPARE_BYTES", EXABYTE)
         with pytest.raises(StoreError, match=words):
             run_scene(entry, tmp_path, progress=str, stages=STAGES[:2])
     assert not (tmp_path / "tiny/sweeps").exists()

@@ -8,7 +8,7 @@ import pytest
 _PROGRAM = """
 import resource
 import numpy as np
-from nvsf_core.stages.runner.kept_memory import keep_freed_memory
+from nvsf_core.stages.runner.resources import keep_freed_memory
 
 def faults(times):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
