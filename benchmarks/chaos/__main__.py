@@ -18,18 +18,11 @@ from pathlib import Path
 from benchmarks.chaos.aftermath import Ledger, ledger_of, left_behind, losses, next_run
 from benchmarks.chaos.document import Row, write_document_of
 from benchmarks.chaos.event import Event, Random
-from benchmarks.chaos.events import daemons, disks, files, kills, limits, twice
+from benchmarks.chaos.events import daemons, files, kills, limits
 from benchmarks.chaos.instance import hanging
 from benchmarks.chaos.world import LONGEST_RUN_S, World, made_world
 
-EVENTS = [
-    *kills.EVENTS,
-    *disks.EVENTS,
-    *files.EVENTS,
-    *twice.EVENTS,
-    *limits.EVENTS,
-    *daemons.EVENTS,
-]
+EVENTS = [*kills.EVENTS, *files.EVENTS, *limits.EVENTS, *daemons.EVENTS]
 
 
 def main() -> int:

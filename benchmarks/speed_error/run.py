@@ -33,8 +33,8 @@ from nvsf_core.stages import STAGE_NAMES
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.mesh import read_mesh
 from nvsf_core.stages.runner.checkpoints import StageSession
-from nvsf_core.stages.runner.device_lock import device_lock
 from nvsf_core.stages.runner.host import machine
+from nvsf_core.stages.runner.locks import device_lock
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.run import (
     SceneRun,

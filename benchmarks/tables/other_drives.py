@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from benchmarks.common.documents import ROOT
-from benchmarks.common.job import execute_benchmark
+from benchmarks.run import execute_benchmark
 from benchmarks.tables.results_table import write
 from benchmarks.tables.targets import OTHER
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo

@@ -5,8 +5,7 @@ the libraries that they work with: a stage's own module is imported when the sta
 """
 
 from nvsf_core.stages.checks.declared import FIELD_CHECKS, METRIC_CHECKS, SWEEP_CHECKS, VIEW_CHECKS
-from nvsf_core.stages.runner.later import Later
-from nvsf_core.stages.runner.stage import Stage
+from nvsf_core.stages.runner.stage import Later, Stage
 
 
 def _later(module: str, function: str) -> Later:

@@ -13,11 +13,13 @@ from typing import Any
 
 import numpy as np
 import zarr
+from zarr.abc.store import ByteRequest
 from zarr.codecs import Crc32cCodec, ZstdCodec
+from zarr.core.buffer import Buffer, BufferPrototype
+from zarr.storage import LocalStore
 
 from nvsf_core.errors import StoreError
 from nvsf_core.stores.documents import Contents, foreign, unreadable
-from nvsf_core.stores.local_files import LocalFiles
 from nvsf_core.stores.schemas import field_faults, spec_at, violations
 
 _METADATA = "zarr.json"
@@ -26,6 +28,38 @@ _MOST_CHUNK_BYTES = 4 << 30
 _HEADROOM_BYTES = 4 << 20
 _CHUNK_BYTES = 4 << 20
 """Target size of a chunk: a frame's worth of returns or one image, so that a reader fetches few files."""
+
+_SMALL_BYTES = 64 << 10
+"""To hand a file to another thread and wait for it takes about as long as to read so much."""
+
+
+class LocalFiles(LocalStore):
+    """As zarr's own, which hands each file to another thread: most files here are small, a group has dozens.
+
+    Large chunks still go to other threads, several at once.
+    """
+
+    async def get(
+        self, key: str, prototype: BufferPrototype | None = None, byte_range: ByteRequest | None = None
+    ) -> Buffer | None:
+        """Bytes of a file, or of a part of it; None if there is none."""
+        if _is_large(self.root / key):
+            return await super().get(key, prototype, byte_range)
+        return self.get_sync(key, prototype=prototype, byte_range=byte_range)
+
+    async def set(self, key: str, value: Buffer) -> None:
+        """Write a file whole."""
+        if len(value) > _SMALL_BYTES:
+            await super().set(key, value)
+        else:
+            self.set_sync(key, value)
+
+
+def _is_large(path: Path) -> bool:
+    try:
+        return path.stat().st_size > _SMALL_BYTES
+    except OSError:
+        return False
 
 
 def write_arrays(

@@ -23,7 +23,7 @@ from nvsf_core.reporting.scene_outputs import measured_scenes
 from nvsf_core.stages import SceneRun, plan_run, run_named_stage
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.inputs import read_recording
-from nvsf_core.stages.runner.device_lock import device_lock, lock_file
+from nvsf_core.stages.runner.locks import device_lock, lock_file
 from nvsf_core.stages.runner.record import read_record
 from nvsf_core.stages.runner.trained import newest_field
 from nvsf_core.stores.arrays import read_arrays, write_arrays

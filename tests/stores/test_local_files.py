@@ -3,8 +3,7 @@ from pathlib import Path
 import numpy as np
 import zarr
 
-from nvsf_core.stores.arrays import read_arrays, write_arrays
-from nvsf_core.stores.local_files import LocalFiles
+from nvsf_core.stores.arrays import LocalFiles, read_arrays, write_arrays
 
 
 def _written(path: Path, store: object, arrays: dict[str, np.ndarray]) -> dict[str, bytes]:

@@ -1,4 +1,4 @@
-"""SIGKILL: to a whole run, as when the power goes; to one of its steps; to what serves them or removes."""
+"""SIGKILL to a run, to one of its steps, to what removes; and two runs of one scene at once."""
 
 import sys
 
@@ -18,6 +18,8 @@ for draw in range({first}, {first} + {count}):
     run_named_stage("dataset", run, say_on_stderr)
 """
 _MOST_DRAWS = 6
+_LIBRARY = "from nvsf_core.stages import run_scene; run_scene('{scene}', seed={seed})"
+_DONE = r"evidence: (done|up to date)"
 
 
 def kill_run(world: World, random: Random) -> Harm:
@@ -70,10 +72,51 @@ def _kill_one(run: Running, random: Random) -> str:
     return "the resource tracker" if "tracker" in words else "a step"
 
 
+def two_runs(world: World, random: Random) -> Harm:
+    """Start the same run twice, some seconds apart."""
+    world.provoke()
+    first = world.start()
+    apart_s = random.uniform(0.0, 0.5 if world.bare else 12.0)
+    first.sleep(apart_s)
+    second = world.start()
+    return _both(first, second, f"{apart_s:.0f} s apart; ")
+
+
+def two_seeds(world: World, random: Random) -> Harm:
+    """Start two runs that share all but the training."""
+    world.provoke()
+    first = world.start()
+    world.provoke()
+    second = world.start()
+    return _both(first, second)
+
+
+def with_library(world: World, random: Random) -> Harm:
+    """Start a run of Dagster's and the library's own on the same outputs."""
+    world.provoke()
+    first = world.start()
+    first.sleep(random.uniform(0.0, 10.0))
+    code = _LIBRARY.format(scene=SCENE, seed=world.seed)
+    second = world.launch([sys.executable, "-c", code], "library")
+    return _both(first, second)
+
+
+def _both(first: Running, second: Running, how: str = "") -> Harm:
+    """What came of two runs at once: both must succeed."""
+    codes = first.wait(LONGEST_RUN_S), second.wait(LONGEST_RUN_S)
+    expected = _DONE if codes == (0, 0) else "both must succeed"
+    return Harm(f"{how}exits {codes}", first.said + second.said, expected)
+
+
 EVENTS = [
     Event("kill_run", "SIGKILL to a run and its steps", kill_run, weight=4),
     Event(
         "kill_removal", "SIGKILL to who removes old versions of data sets", kill_removal, needs_dagster=True
     ),
     Event("kill_step", "SIGKILL to one process of a run", kill_step, needs_dagster=True, weight=4),
+    Event("two_runs", "two runs of the same at once", two_runs, weight=3),
+    Event("two_seeds", "two runs of two seeds at once", two_seeds, needs_dagster=True, weight=2),
+    Event(
+        "with_library", "a run of Dagster and one of the library at once", with_library, needs_dagster=True
+    ),
 ]

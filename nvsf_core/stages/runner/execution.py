@@ -11,7 +11,6 @@ from nvsf_core.errors import DataError, StoreError
 from nvsf_core.stages.optional_tools import tools_now_there
 from nvsf_core.stages.runner.contents import hashes_of
 from nvsf_core.stages.runner.facts import Facts, difference, facts_of, without_recipe
-from nvsf_core.stages.runner.later import Later
 from nvsf_core.stages.runner.record import (
     RECORD_NAME,
     content_of,
@@ -21,7 +20,16 @@ from nvsf_core.stages.runner.record import (
     removals_of,
 )
 from nvsf_core.stages.runner.resources import Meter, in_words, keep_freed_memory, require_space
-from nvsf_core.stages.runner.stage import Check, Outcome, Progress, RunConfig, Stage, Task, UnsoundOutputError
+from nvsf_core.stages.runner.stage import (
+    Check,
+    Later,
+    Outcome,
+    Progress,
+    RunConfig,
+    Stage,
+    Task,
+    UnsoundOutputError,
+)
 from nvsf_core.stores.checksums import json_digest
 from nvsf_core.stores.documents import write_document
 from nvsf_core.stores.file_hashes import FileHashes

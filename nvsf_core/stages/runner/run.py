@@ -16,7 +16,6 @@ from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.metrics.lpips_file import find_weights
 from nvsf_core.recipe import Recipe, preset
 from nvsf_core.stages.flow import STAGES
-from nvsf_core.stages.runner.device_lock import device_lock
 from nvsf_core.stages.runner.execution import (
     DamagedInputError,
     StagePlace,
@@ -26,7 +25,7 @@ from nvsf_core.stages.runner.execution import (
 )
 from nvsf_core.stages.runner.failures import forget_failure, remember_failure
 from nvsf_core.stages.runner.heartbeat import heartbeat, sparse
-from nvsf_core.stages.runner.locks import LOCKS, output_locks
+from nvsf_core.stages.runner.locks import LOCKS, device_lock, output_locks
 from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage, Task, UnsoundOutputError
 from nvsf_core.stores.removal import number_kept
 from nvsf_core.stores.scene_store import SceneStore, require_home

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -209,3 +210,22 @@ class Outcome:
     """SHA-256 of the checksums of its files: outputs of the same content have the same one."""
     resources: dict[str, float]
     """What making it took: `peak_memory_mb`, `read_mb`, `written_mb`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Later:
+    """A function of a module that is not imported yet, called as itself: who lists stages need not wait."""
+
+    module: str
+    """Full name of the module."""
+    function: str
+    """Name of a function in it."""
+
+    def load(self) -> Callable[..., Any]:
+        """Import the module, unless it is, and return its function."""
+        function: Callable[..., Any] = getattr(import_module(self.module), self.function)
+        return function
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the function."""
+        return self.load()(*args)

@@ -14,7 +14,7 @@ from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.errors import DataError, RecipeError, StoreError
 from nvsf_core.recipe import preset
 from nvsf_core.stages import STAGE_NAMES, plan_run, run_named_stage, run_scene
-from nvsf_core.stages.runner.device_lock import device_lock
+from nvsf_core.stages.runner.locks import device_lock
 from nvsf_core.stages.runner.stage import Stage, StageOutput
 from nvsf_core.stages.runner.trained import newest_field
 
@@ -34,7 +34,7 @@ print(json.dumps([[outcome.stage, outcome.skipped, outcome.path.is_dir()] for ou
 LEASE_HOLDER = """
 import sys, time
 from pathlib import Path
-from nvsf_core.stages.runner.device_lock import device_lock
+from nvsf_core.stages.runner.locks import device_lock
 with device_lock(Path(sys.argv[1]), print):
     Path(sys.argv[1], "held").write_text("")
     time.sleep(60)
@@ -178,7 +178,7 @@ def test_a_second_training_waits_until_the_first_is_killed(tmp_path):
 IN_A_CONTAINER = """
 import os
 from pathlib import Path
-from nvsf_core.stages.runner.device_lock import lock_file
+from nvsf_core.stages.runner.locks import lock_file
 for device in ("", "0"):
     for executor in ("k8s", "multiprocess"):
         os.environ.update(CUDA_VISIBLE_DEVICES=device, NVSF_EXECUTOR=executor)

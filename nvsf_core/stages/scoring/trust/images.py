@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nvsf_core.metrics.table import HELD_OUT
 from nvsf_core.metrics.trust.cues import DISAGREES, GUESSED, IMAGE_PATCHES, PARALLAX
 from nvsf_core.metrics.trust.likeness_classifier import distinguished, image_features
 from nvsf_core.metrics.trust.photo_consistency import (
@@ -122,16 +123,14 @@ class RecordedCamera:
         return found
 
 
-def image_cues(
-    path: Path, camera: RecordedCamera, *, is_held_out: bool
-) -> Iterator[tuple[int, Mapping[str, float]]]:
+def image_cues(path: Path, camera: RecordedCamera) -> Iterator[tuple[int, Mapping[str, float]]]:
     """Cues of each image of a camera in a stored view of the model: its frame, and cue to value.
 
     Of a view of held-out frames no image measures itself.
     """
     a = _view_arrays(path, camera.name)
     for i, frame in enumerate(a["frame"].tolist()):
-        curve = camera.curve(frame if is_held_out else None)
+        curve = camera.curve(frame if path.parent.name == HELD_OUT else None)
         yield frame, camera.cues({name: values[i] for name, values in a.items()}, frame, curve)
 
 

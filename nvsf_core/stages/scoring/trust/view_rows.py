@@ -55,7 +55,7 @@ def recorded_sensors(task: Task, paths: Sequence[Path]) -> list[RecordedSensor]:
             task.progress(f"[{task.scene.name}] scene_metrics: how far recorded images of {name} are apart")
             camera = RecordedCamera(task, name, held_out)
             band = _band(camera.band(), name)
-            found.append(RecordedSensor(name, partial(_image_cues, camera=camera), band))
+            found.append(RecordedSensor(name, partial(image_cues, camera=camera), band))
     return found
 
 
@@ -99,10 +99,6 @@ def _add(
         measures, split=view, protocol=PROTOCOL, region=region, sensor=sensor, frame=frame,
         render_seconds=math.nan,
     )  # fmt: skip
-
-
-def _image_cues(path: Path, camera: RecordedCamera) -> _Cues:
-    return image_cues(path, camera, is_held_out=path.parent.name == HELD_OUT)
 
 
 def _measure(value: float) -> Measure:
