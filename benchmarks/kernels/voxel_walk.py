@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.common.documents import ROOT, write_measured
 from benchmarks.tables.results_table import WALK_RESULTS, write
 from nvsf_core.drives.catalogue import home_from_environment
-from nvsf_core.evidence.surfels import Surfels, build_both, candidates_of
+from nvsf_core.evidence.surfels import StaticReturns, Surfels, candidates_of
 from nvsf_core.recipe import EvidenceSpec
 from nvsf_core.recording.drive import Sweeps
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
@@ -45,13 +45,15 @@ def measure(store: SceneStore) -> list[dict[str, Any]]:
     sweeps, evidence = read_sweeps(store), read_evidence(store)
     if sweeps is None or evidence is None:
         return []
-    kinds = {"with shapes": evidence.for_rendering, "without": evidence.static}
-    return [
-        {"scene": store.scene, "surfaces": name, **_row(sweeps, surfels)} for name, surfels in kinds.items()
-    ]
+    # What makes the surfels of each kind from all returns of the training scans.
+    kinds = {
+        "with shapes": (evidence.for_rendering, StaticReturns.shown),
+        "without": (evidence.static, StaticReturns.field),
+    }
+    return [{"scene": store.scene, "surfaces": name, **_row(sweeps, *kind)} for name, kind in kinds.items()]
 
 
-def _row(sweeps: Sweeps, surfels: Surfels) -> dict[str, Any]:
+def _row(sweeps: Sweeps, surfels: Surfels, make: Callable[[StaticReturns, float], Surfels]) -> dict[str, Any]:
     """Training returns prove, held-out returns ask; without any held-out scan the training ones ask."""
     a = sweeps.arrays
     of_training = np.repeat(sweeps.is_training, np.diff(a["offsets"]))
@@ -61,12 +63,9 @@ def _row(sweeps: Sweeps, surfels: Surfels) -> dict[str, Any]:
     origin_m, direction = a["origin_m"][asking], a["direction"][asking]
     most, far_m = EvidenceSpec().lidar_candidates, float(sweeps.table.max_range_m)
     votes = np.ones(len(origin_m), np.float32)
-    build = _seconds(
-        lambda: build_both(
-            a["origin_m"][proving], a["direction"][proving], a["range_m"][proving], a["intensity"][proving],
-            voxel_m=surfels.index.voxel_m,
-        )
-    )  # fmt: skip
+    coarsest_m = surfels.index.voxel_m * float(surfels.index.edges.max())
+    proof = [a[name][proving] for name in ("origin_m", "direction", "range_m", "intensity")]
+    build = _seconds(lambda: make(StaticReturns.of(*proof, np.ones(int(proving.sum()), bool)), coarsest_m))
     listing = _seconds(
         lambda: candidates_of(surfels, origin_m, direction, most=most, near_m=NEAR_M, far_m=far_m)
     )

@@ -1,17 +1,27 @@
 """Surfels: the surface in each voxel, and how often the voxel stopped a ray or let it pass."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
-from nvsf_core.evidence.voxel_planes import VoxelPlanes, joined_planes, own_planes
-from nvsf_core.geometry.voxels import VoxelIndex, index_points, occupied_bits, voxel_moments
+from nvsf_core.evidence.voxel_planes import joined_planes, own_planes
+from nvsf_core.evidence.voxel_sizes import SizedVoxels, VoxelLevel, VoxelMoments, sized_voxels
+from nvsf_core.geometry.voxels import BRICK, VoxelIndex, index_points, occupied_bits, voxel_moments
 from nvsf_core.kernels.voxel_march import VoxelSurfaces, WalkLimits, find_candidates
 from nvsf_core.kernels.voxel_passes import count_passes
 
 _STOP_TRANSMITTANCE = 0.005
+_FINEST_M, _FIELD_M = 0.1, 0.2
+"""Edges of the finest voxels of `reproject`, and of those that a field corrects: finer ones do not lower its
+error and make its steps longer."""
+COARSEST_M = (0.2, 0.4, 0.8)
+"""Edges that the coarsest voxels of a drive may have."""
+_NEARLY = 0.99
+"""Edges that differ by less are the same."""
+_MOST_COLUMNS = 1_000_000
+"""Most columns of bricks, seen from above, that a scene of the finest voxels may have."""
 _MARGIN = 0.25
 """Voxels before its return up to which a ray passes through voxels."""
 _NOISE_M = 0.005
@@ -45,8 +55,8 @@ class Surfels:
     """(v,) int32: number of rays that met the returns, within their shape where they have one, and passed."""
 
     ARRAYS: ClassVar[tuple[str, ...]] = (
-        "grid_origin_m", "voxel_m", "bricks", "cells", "mean_m", "normal", "precision", "thickness_m",
-        "intensity", "hits", "passes",
+        "grid_origin_m", "voxel_m", "bricks", "cells", "edges", "mean_m", "normal", "precision",
+        "thickness_m", "intensity", "hits", "passes",
     )  # fmt: skip
     """Names under which the arrays are stored."""
 
@@ -54,7 +64,7 @@ class Surfels:
         """Named arrays that `from_arrays` reads back."""
         grid = {
             "grid_origin_m": self.index.origin_m, "voxel_m": np.array([self.index.voxel_m]),
-            "bricks": self.index.bricks, "cells": self.index.cells,
+            "bricks": self.index.bricks, "cells": self.index.cells, "edges": self.index.edges,
         }  # fmt: skip
         return grid | {name: getattr(self, name) for name in self.ARRAYS if name not in grid}
 
@@ -64,7 +74,8 @@ class Surfels:
         a = arrays
         return Surfels(
             index=VoxelIndex(
-                a["grid_origin_m"], float(a["voxel_m"][0]), a["bricks"], a["cells"], occupied_bits(a["cells"])
+                a["grid_origin_m"], float(a["voxel_m"][0]), a["bricks"], a["cells"],
+                occupied_bits(a["cells"]), a["edges"],
             ),
             mean_m=a["mean_m"], normal=a["normal"], precision=a["precision"], thickness_m=a["thickness_m"],
             intensity=a["intensity"], hits=a["hits"], passes=a["passes"],
@@ -134,8 +145,9 @@ def build_surfels(
     voxel_m: float,
     is_surface: np.ndarray | None = None,
     joined: bool = True,
+    has_shapes: bool = False,
 ) -> Surfels:
-    """Surfels of the returns of rays, without shapes.
+    """Surfels of the returns of rays in voxels of one size.
 
     A ray passes through a voxel whose plane it meets, or misses by at most a centimetre, or that it crosses
     if there is no plane, up to a quarter of a voxel before its return. So a road stays opaque below rays that
@@ -151,80 +163,115 @@ def build_surfels(
             rays then only pass through voxels. None = all are.
         joined: Whether planes are those of the voxels around, too (`joined_planes`): no small object's, past
             whose edges rays would see.
+        has_shapes: See `StaticReturns.shown`.
     """
-    returns = _Returns.of(origin_m, direction, range_m, intensity, voxel_m, is_surface)
-    planes = joined_planes(*returns.moments) if joined else own_planes(*returns.moments[1:])
-    return returns.surfels(planes, _NO_SHAPES)[0]
-
-
-def build_both(
-    origin_m: np.ndarray,
-    direction: np.ndarray,
-    range_m: np.ndarray,
-    intensity: np.ndarray,
-    *,
-    voxel_m: float,
-    is_surface: np.ndarray | None = None,
-) -> tuple[Surfels, Surfels]:
-    """The surfels of `build_surfels`, and the same with shapes.
-
-    With shapes a ray passes through a voxel only where it comes as near to the voxel's returns as one of them
-    would: a wall stays opaque beside a gap. `reproject` needs them; a field learns less from them (decision
-    0058).
-
-    Args:
-        origin_m: (n, 3) scene-local, metres.
-        direction: (n, 3) unit, scene-local axes.
-        range_m: (n,) metres to the return.
-        intensity: (n,) of the return, 0..1.
-        voxel_m: Edge of a voxel.
-        is_surface: (n,) bool: the return is part of a surface. None = all are.
-    """
-    returns = _Returns.of(origin_m, direction, range_m, intensity, voxel_m, is_surface)
-    planes = joined_planes(*returns.moments)
-    return returns.surfels(planes, _precision(returns, planes.normal))
+    kept = np.ones(len(range_m), bool) if is_surface is None else is_surface
+    returns = _Returns.of(origin_m, direction, range_m, intensity, voxel_m, kept)
+    moments = returns.moments
+    found = (moments.mean_m, moments.covariance, moments.returns)
+    planes = joined_planes(returns.index, *found) if joined else own_planes(*found)
+    edge_m = np.full(len(moments.returns), voxel_m)
+    return returns.surfels(SizedVoxels(returns.index, moments, planes, edge_m), has_shapes=has_shapes)
 
 
 @dataclass(frozen=True, slots=True)
-class _Returns:
-    """Rays, and what their returns tell of each of v voxels."""
+class StaticReturns:
+    """The returns of a static scene in voxels of several sizes, ready to be made surfels of."""
 
-    rays: tuple[np.ndarray, np.ndarray, np.ndarray]
-    """Origins and directions (n, 3), and up to where they pass through voxels (n,), float32."""
-    moments: tuple[VoxelIndex, np.ndarray, np.ndarray, np.ndarray]
-    """The voxels; of each its returns' mean (v, 3) float32, covariance (v, 3, 3) float64, and number (v,)."""
-    intensity: np.ndarray
-    """(v,) float32."""
+    returns: "_Returns"
+    levels: tuple[VoxelLevel, ...]
+    """From voxels of 10 cm to voxels of 80 cm."""
 
     @staticmethod
     def of(
         origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray, intensity: np.ndarray,
-        voxel_m: float, is_surface: np.ndarray | None,
+        is_static: np.ndarray,
+    ) -> "StaticReturns":  # fmt: skip
+        """Those of a drive.
+
+        Args:
+            origin_m: (n, 3) scene-local, metres.
+            direction: (n, 3) unit, scene-local axes.
+            range_m: (n,) metres to the return.
+            intensity: (n,) of the return, 0..1.
+            is_static: (n,) bool: the return is part of the static scene; the others' rays only pass through.
+        """
+        finest_m = _finest_m(origin_m, range_m)
+        returns = _Returns.of(origin_m, direction, range_m, intensity, finest_m, is_static)
+        levels = [VoxelLevel.of(returns.index, returns.moments)]
+        while levels[-1].index.voxel_m < _NEARLY * COARSEST_M[-1]:
+            levels.append(levels[-1].coarser())
+        return StaticReturns(returns, tuple(levels))
+
+    def field(self, coarsest_m: float) -> Surfels:
+        """For a field to learn from: without shapes, in voxels from 20 cm up to an edge of `coarsest_m`."""
+        return self.returns.surfels(sized_voxels(self._levels(_FIELD_M, coarsest_m)), has_shapes=False)
+
+    def shown(self, coarsest_m: float) -> Surfels:
+        """For `reproject`: with shapes, in voxels from 10 cm up to an edge of `coarsest_m`.
+
+        With shapes a ray passes through a voxel only where it comes as near to the voxel's returns as one of
+        them would: a wall stays opaque beside a gap. A field learns less from shapes and from voxels of 10 cm
+        (decisions 0058 and 0059).
+        """
+        return self.returns.surfels(sized_voxels(self._levels(0.0, coarsest_m)), has_shapes=True)
+
+    def _levels(self, finest_m: float, coarsest_m: float) -> list[VoxelLevel]:
+        return [one for one in self.levels if _NEARLY * finest_m < one.index.voxel_m < coarsest_m / _NEARLY]
+
+
+def _finest_m(origin_m: np.ndarray, range_m: np.ndarray) -> float:
+    """Edge of the finest voxels: 10 cm, or a field's where the scene is too large for a table of these."""
+    size_m = np.ptp(origin_m, axis=0) + 2.0 * range_m.max(initial=0.0)
+    return _FINEST_M if np.prod(size_m[:2] / (_FINEST_M * BRICK)) <= _MOST_COLUMNS else _FIELD_M
+
+
+@dataclass(frozen=True, slots=True)
+class _Returns:
+    """Rays, and what their returns tell of each of v voxels of one size."""
+
+    rays: tuple[np.ndarray, np.ndarray, np.ndarray]
+    """Origins and directions (n, 3), and ranges (n,), float32."""
+    place: np.ndarray
+    """(m, 3) int64 grid coordinates of the cells of the m returns that are part of a surface."""
+    kept: np.ndarray
+    """(n,) bool: whether a ray's return is."""
+    index: VoxelIndex
+    moments: VoxelMoments
+
+    @staticmethod
+    def of(
+        origin_m: np.ndarray, direction: np.ndarray, range_m: np.ndarray, intensity: np.ndarray,
+        voxel_m: float, kept: np.ndarray,
     ) -> "_Returns":  # fmt: skip
         """Arguments as of `build_surfels`."""
-        kept = slice(None) if is_surface is None else is_surface
         points = origin_m[kept] + direction[kept] * range_m[kept, None]
         index, voxel = index_points(points, voxel_m)
         hits = np.bincount(voxel, minlength=index.voxel_count)
         mean, covariance = voxel_moments(points, voxel, hits)
         shine = np.bincount(voxel, weights=intensity[kept], minlength=index.voxel_count)
         origin, ray = (np.ascontiguousarray(vectors, np.float32) for vectors in (origin_m, direction))
-        return _Returns(
-            rays=(origin, ray, np.maximum(range_m - _MARGIN * voxel_m, 0).astype(np.float32)),
-            moments=(index, mean.astype(np.float32), covariance, hits),
-            intensity=(shine / hits).astype(np.float32),
-        )  # fmt: skip
+        moments = VoxelMoments(mean.astype(np.float32), covariance, hits, (shine / hits).astype(np.float32))
+        return _Returns((origin, ray, range_m), index.places()[voxel], kept, index, moments)
 
-    def surfels(self, planes: VoxelPlanes, precision: np.ndarray) -> tuple[Surfels, Surfels]:
-        """Without shapes, and with the shapes (v, 6), or (0, 6) where none are asked for."""
-        index, _, _, hits = self.moments
-        crossed, met = count_passes(*self.rays, index, planes.mean_m, planes.normal, precision)
-        plain = Surfels(
-            index=index, mean_m=planes.mean_m, normal=planes.normal, precision=_NO_SHAPES,
-            thickness_m=planes.thickness_m, intensity=self.intensity, hits=hits.astype(np.int32),
-            passes=crossed,
+    def surfels(self, voxels: SizedVoxels, *, has_shapes: bool) -> Surfels:
+        """The surfels of these returns in voxels that were made from them."""
+        index, moments, planes = voxels.index, voxels.moments, voxels.planes
+        precision = _precision(voxels) if has_shapes else _NO_SHAPES
+        origin_m, direction, range_m = self.rays
+        # How many of the finest voxels an edge of these voxels' cells has.
+        cells = round(index.voxel_m / self.index.voxel_m)
+        margin_m = np.full(len(range_m), index.voxel_m, np.float32)
+        margin_m[self.kept] *= index.edges_of(self.place // cells)
+        stop_m = np.maximum(range_m - _MARGIN * margin_m, 0).astype(np.float32)
+        crossed, met = count_passes(
+            origin_m, direction, stop_m, index, planes.mean_m, planes.normal, precision
+        )
+        return Surfels(
+            index=index, mean_m=planes.mean_m, normal=planes.normal, precision=precision,
+            thickness_m=planes.thickness_m, intensity=moments.intensity,
+            hits=moments.returns.astype(np.int32), passes=met if has_shapes else crossed,
         )  # fmt: skip
-        return plain, replace(plain, precision=precision, passes=met)
 
 
 def candidates_of(
@@ -250,18 +297,13 @@ def candidates_of(
     return Candidates(range_m, voxel, opacity, cosine)
 
 
-def _precision(returns: _Returns, normal: np.ndarray) -> np.ndarray:
-    """Inverse covariances (v, 6) float32, 1/m^2, smoothed where returns are few; of planes along them alone.
-
-    Args:
-        returns: In voxels.
-        normal: (v, 3) unit, 0 where they are no plane.
-    """
-    index, _, covariance, hits = returns.moments
+def _precision(voxels: SizedVoxels) -> np.ndarray:
+    """Inverse covariances (v, 6) float32, 1/m^2, smoothed where returns are few; of planes along them."""
+    normal, covariance, hits = voxels.planes.normal, voxels.moments.covariance, voxels.moments.returns
     across = normal[:, :, None].astype(np.float64) * normal[:, None, :]
     doubt = np.where(normal.any(axis=1), _DOUBT_OF_PLANES, _DOUBT)[:, None, None]
-    # A coordinate that is even over a voxel has the variance voxel_m^2 / 12.
-    even, noise = index.voxel_m**2 / 12.0 * np.eye(3), _NOISE_M**2 * np.eye(3)
+    # A coordinate that is even over a voxel has the variance edge_m^2 / 12.
+    even, noise = voxels.edge_m[:, None, None] ** 2 / 12.0 * np.eye(3), _NOISE_M**2 * np.eye(3)
     smoothed = (covariance * hits[:, None, None] + doubt * even) / (hits[:, None, None] + doubt) + noise
     along = np.eye(3) - across
     precision = np.linalg.inv(along @ smoothed @ along + across) - across
@@ -322,8 +364,9 @@ def unobserved_beside(
 
 
 def _empty_beside(surfels: Surfels) -> tuple[np.ndarray, np.ndarray]:
-    """Middles (n, 3) float64 of the empty voxels beside surfels, and numbers (n,) of those surfels."""
+    """Middles (n, 3) float64 of the empty cells beside surfels, and numbers (n,) of those surfels."""
     index = surfels.index
-    place = (index.places()[:, None] + _FACES).reshape(-1, 3)
-    empty = np.flatnonzero(index.find(place) < 0)
-    return index.origin_m + (place[empty] + 0.5) * index.voxel_m, empty // len(_FACES)
+    place, number = index.occupied_cells()
+    beside = (place[:, None] + _FACES).reshape(-1, 3)
+    empty = np.flatnonzero(index.find(beside) < 0)
+    return index.origin_m + (beside[empty] + 0.5) * index.voxel_m, number[empty // len(_FACES)]

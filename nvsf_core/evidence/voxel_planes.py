@@ -36,6 +36,10 @@ class VoxelPlanes:
     thickness_m: np.ndarray
     """(v,) float32: standard deviation of the returns across it."""
 
+    def of(self, chosen: np.ndarray) -> "VoxelPlanes":
+        """Of the chosen (n,) voxels."""
+        return VoxelPlanes(*(getattr(self, name)[chosen] for name in self.__slots__))
+
 
 def own_planes(mean_m: np.ndarray, covariance: np.ndarray, returns: np.ndarray) -> VoxelPlanes:
     """Of each voxel's own returns: means (v, 3) in metres, covariances (v, 3, 3) in m^2, numbers (v,)."""

@@ -1,4 +1,7 @@
-"""A sparse index of the voxels that hold returns, in bricks of 8 x 8 x 8; and how their points scatter."""
+"""A sparse index of the voxels that hold returns, in bricks of 8 x 8 x 8 cells; and how their points scatter.
+
+A voxel is a cell, or a cube of 2, 4 or 8 cells an edge: all voxels of a brick are of one size.
+"""
 
 from typing import NamedTuple
 
@@ -8,7 +11,7 @@ from scipy.spatial import cKDTree
 from nvsf_core.errors import DataError
 
 BRICK = 8
-"""Voxels along each edge of a brick."""
+"""Cells along each edge of a brick."""
 
 
 class VoxelIndex(NamedTuple):
@@ -17,28 +20,41 @@ class VoxelIndex(NamedTuple):
     origin_m: np.ndarray
     """(3,) float64 metres: lower corner of the grid, scene-local."""
     voxel_m: float
-    """Edge of a voxel, metres."""
+    """Edge of a cell, which is the smallest voxel, metres."""
     bricks: np.ndarray
     """(bx, by, bz) int32: a brick's row in `cells`, or -1."""
     cells: np.ndarray
-    """(n_bricks, 512) int32: a voxel's number, or -1."""
+    """(n_bricks, 512) int32: number of the voxel that a cell is of, or -1."""
     occupied: np.ndarray
     """(n_bricks, 8) uint64, see `occupied_bits`."""
+    edges: np.ndarray
+    """(n_bricks,) int64: edge of the brick's voxels in cells, 1, 2, 4 or 8."""
 
     @property
     def voxel_count(self) -> int:
         """Number of voxels that hold a return."""
         return int(self.cells.max(initial=-1)) + 1
 
-    def places(self) -> np.ndarray:
-        """(v, 3) int64: grid coordinates of each numbered voxel, counted from the lower corner."""
+    def occupied_cells(self) -> tuple[np.ndarray, np.ndarray]:
+        """Grid coordinates (c, 3) int64 of all cells of voxels, and the voxels' numbers (c,) int32."""
         brick = np.argwhere(self.bricks >= 0)
         corner = np.empty_like(brick)
         corner[self.bricks[tuple(brick.T)]] = brick * BRICK
         row, cell = np.nonzero(self.cells >= 0)
+        place = corner[row] + np.stack(np.unravel_index(cell, (BRICK,) * 3), axis=1)
+        return place, self.cells[row, cell]
+
+    def places(self) -> np.ndarray:
+        """(v, 3) int64: grid coordinates of each voxel's lowest cell, counted from the lower corner."""
+        place, number = self.occupied_cells()
         found = np.empty((self.voxel_count, 3), np.int64)
-        found[self.cells[row, cell]] = corner[row] + np.stack(np.unravel_index(cell, (BRICK,) * 3), axis=1)
+        # Backwards: of a voxel's cells the lowest is written last.
+        found[number[::-1]] = place[::-1]
         return found
+
+    def edges_of(self, place: np.ndarray) -> np.ndarray:
+        """(n,) int64 edges, in cells, of the voxels in whose bricks grid coordinates (n, 3) int lie."""
+        return np.asarray(self.edges[self.bricks[tuple((place // BRICK).T)]])
 
     def find(self, place: np.ndarray) -> np.ndarray:
         """(n,) int32 numbers of the voxels at grid coordinates (n, 3) int; -1 where there is none."""
@@ -80,18 +96,30 @@ def index_points(points_m: np.ndarray, voxel_m: float) -> tuple[VoxelIndex, np.n
     if np.prod((highest - lowest) / (voxel_m * BRICK) + 2.0) > 250_000_000:
         raise DataError(f"evidence: the returns span {highest - lowest} m, too much for {voxel_m} m voxels")
     low = np.floor(lowest / voxel_m) * voxel_m - voxel_m
-    ijk = np.floor((points_m - low) / voxel_m).astype(np.int32)
-    shape = ijk.max(axis=0) // BRICK + 1
-    brick_of_point = np.ravel_multi_index((ijk // BRICK).T, shape)
+    return index_cells(np.floor((points_m - low) / voxel_m).astype(np.int32), low, voxel_m)
+
+
+def index_cells(place: np.ndarray, origin_m: np.ndarray, voxel_m: float) -> tuple[VoxelIndex, np.ndarray]:
+    """Build the index over cells, each a voxel of its own.
+
+    Args:
+        place: (n, 3) int, not negative: grid coordinates of points; several may lie in one cell.
+        origin_m: (3,) metres: lower corner of the grid.
+        voxel_m: Edge of a cell, metres.
+
+    Returns:
+        The index, and (n,) int32 voxel numbers.
+    """
+    shape = place.max(axis=0) // BRICK + 1
+    brick = np.ravel_multi_index((place // BRICK).T, shape)
     bricks = np.full(shape, -1, np.int32)
-    bricks_found, brick_of_point = _number(bricks.reshape(-1), brick_of_point)
-    within = ijk % BRICK
-    cell_of_point = brick_of_point.astype(np.int64) * BRICK**3 + (
-        within[:, 0] * 64 + within[:, 1] * 8 + within[:, 2]
-    )
+    bricks_found, brick = _number(bricks.reshape(-1), brick)
+    within = place % BRICK
+    cell = brick.astype(np.int64) * BRICK**3 + (within[:, 0] * 64 + within[:, 1] * 8 + within[:, 2])
     cells = np.full((bricks_found, BRICK**3), -1, np.int32)
-    _, voxel_of_point = _number(cells.reshape(-1), cell_of_point)
-    return VoxelIndex(low, voxel_m, bricks, cells, occupied_bits(cells)), voxel_of_point
+    _, voxel = _number(cells.reshape(-1), cell)
+    edges = np.ones(bricks_found, np.int64)
+    return VoxelIndex(origin_m, voxel_m, bricks, cells, occupied_bits(cells), edges), voxel
 
 
 def _number(table: np.ndarray, place: np.ndarray) -> tuple[int, np.ndarray]:

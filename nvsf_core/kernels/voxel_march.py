@@ -1,8 +1,9 @@
 """Walking rays through a sparse voxel grid (Amanatides and Woo's DDA), in numba.
 
-The grid is stored in bricks of 8 x 8 x 8 voxels: `bricks` holds a brick's row in `cells`, or -1;
-`cells` holds a voxel's number, or -1, and `occupied` as bits which voxels have one. A ray is
-origin + t * direction, direction of unit length.
+The grid is stored in bricks of 8 x 8 x 8 cells: `bricks` holds a brick's row in `cells`, or -1;
+`cells` holds the number of the voxel that a cell is of, or -1, and `occupied` as bits which cells have one;
+`edges` holds how many cells an edge of the brick's voxels has, 1, 2, 4 or 8. A voxel of several cells is
+crossed in one step. A ray is origin + t * direction, direction of unit length.
 
 A voxel's returns fill it unevenly: a ray meets a plane where it crosses it, other returns where it passes
 them closest, and either only within 2.5 of the returns' own standard deviations, along the plane or all
@@ -126,14 +127,14 @@ def voxel_at(row, x, y, z, occupied, cells):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _left(index, step):  # type: ignore[no-untyped-def]
-    """Voxels that are left in the brick along one axis."""
-    return BRICK - 1 - (index & 7) if step > 0 else index & 7
+def _left(index, step, last):  # type: ignore[no-untyped-def]
+    """Cells that are left in the cube along one axis."""
+    return last - (index & last) if step > 0 else index & last
 
 
 @njit(inline="always")
 def _steps_before(leave, t_next, borders_a_metre, left):  # type: ignore[no-untyped-def]
-    """Borders along one axis that are crossed before `leave`, of those inside the brick."""
+    """Borders along one axis that are crossed before `leave`, of those inside the cube."""
     if t_next >= leave:
         return 0
     return min(left, int((leave - t_next) * borders_a_metre) + 1)
@@ -141,15 +142,16 @@ def _steps_before(leave, t_next, borders_a_metre, left):  # type: ignore[no-unty
 
 # Wide: five numbers an axis, as scalars, which the compiler keeps in registers.
 @njit(inline="always")
-def cross_brick(  # type: ignore[no-untyped-def]
-    x, x_step, x_next, x_length, x_density, y, y_step, y_next, y_length, y_density,
+def cross_cube(  # type: ignore[no-untyped-def]
+    last, x, x_step, x_next, x_length, x_density, y, y_step, y_next, y_length, y_density,
     z, z_step, z_next, z_length, z_density,
 ):  # fmt: skip
-    """Voxel and next border along each axis in the last voxel of an empty brick that the ray crosses.
+    """Cell and next border along each axis in the last cell, of a brick or voxel, that the ray crosses.
 
     Args:
-        x: Grid coordinate of the voxel in which the ray is.
-        x_step: By how many voxels it goes on along x, 1 or -1.
+        last: Cells along an edge of the brick or voxel, less one: 1, 3 or 7.
+        x: Grid coordinate of the cell in which the ray is.
+        x_step: By how many cells it goes on along x, 1 or -1.
         x_next: Metres along the ray to the next border.
         x_length: Metres along the ray between two borders.
         x_density: Borders a metre.
@@ -164,7 +166,7 @@ def cross_brick(  # type: ignore[no-untyped-def]
         z_length: As of x.
         z_density: As of x.
     """
-    x_left, y_left, z_left = _left(x, x_step), _left(y, y_step), _left(z, z_step)
+    x_left, y_left, z_left = _left(x, x_step, last), _left(y, y_step, last), _left(z, z_step, last)
     leave = min(x_next + x_left * x_length, min(y_next + y_left * y_length, z_next + z_left * z_length))
     x_steps = _steps_before(leave, x_next, x_density, x_left)
     y_steps = _steps_before(leave, y_next, y_density, y_left)
@@ -262,7 +264,8 @@ def walk(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Write the surfaces of one ray, see `find_candidates`, into four arrays (k,); how many there are.
 
-    Empty bricks are crossed in one step. All state is in scalars: the compiler keeps no array in registers.
+    Empty bricks and voxels of several cells are crossed in one step. All state is in scalars: the compiler
+    keeps no array in registers.
 
     Args:
         ray: Number of the ray.
@@ -273,7 +276,7 @@ def walk(  # type: ignore[no-untyped-def]
         limits: `WalkLimits`.
         found_surfaces: range_m, voxel, opacity and cosine, each (k,), to be written.
     """
-    grid_origin, voxel_m, bricks, cells, occupied = grid
+    grid_origin, voxel_m, bricks, cells, occupied, edges = grid
     means, normals, precisions, opacities = surfaces[0], surfaces[1], surfaces[2], surfaces[3]
     near_m, far_m, most, stop_transmittance, faintest = limits
     range_m, voxels, opacity, cosine = found_surfaces
@@ -294,12 +297,13 @@ def walk(  # type: ignore[no-untyped-def]
     found = 0
     while True:
         row = bricks[x >> 3, y >> 3, z >> 3]
-        if row < 0:
-            x, x_next, y, y_next, z, z_next = cross_brick(
-                x, x_step, x_next, x_length, x_density, y, y_step, y_next, y_length, y_density,
+        last = edges[row] - 1 if row >= 0 else BRICK - 1
+        if last > 0:
+            x, x_next, y, y_next, z, z_next = cross_cube(
+                last, x, x_step, x_next, x_length, x_density, y, y_step, y_next, y_length, y_density,
                 z, z_step, z_next, z_length, z_density,
             )  # fmt: skip
-        else:
+        if row >= 0:
             voxel = voxel_at(row, x, y, z, occupied, cells)
             if voxel >= 0:
                 t_out = min(min(x_next, min(y_next, z_next)), t_far)

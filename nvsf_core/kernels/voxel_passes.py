@@ -10,7 +10,7 @@ from nvsf_core.kernels.voxel_march import (
     REACH,
     SOFT_M,
     clip,
-    cross_brick,
+    cross_cube,
     first_voxel,
     meet,
     voxel_at,
@@ -63,7 +63,7 @@ def _count_ray(  # type: ignore[no-untyped-def]
     origin, direction, stop_m, grid, means, normals, precisions, passes
 ):  # fmt: skip
     """Add one to `passes` (2, v) of each voxel whose returns a ray meets and leaves before its end."""
-    grid_origin, voxel_m, bricks, cells, occupied = grid
+    grid_origin, voxel_m, bricks, cells, occupied, edges = grid
     x_voxels, y_voxels, z_voxels = bricks.shape[0] * BRICK, bricks.shape[1] * BRICK, bricks.shape[2] * BRICK
     ox, oy, oz = origin[0], origin[1], origin[2]
     dx, dy, dz = direction[0], direction[1], direction[2]
@@ -78,9 +78,10 @@ def _count_ray(  # type: ignore[no-untyped-def]
     x_density, y_density, z_density = abs(dx) / voxel_m, abs(dy) / voxel_m, abs(dz) / voxel_m
     while True:
         row = bricks[x >> 3, y >> 3, z >> 3]
-        if row < 0:
-            x, x_next, y, y_next, z, z_next = cross_brick(
-                x, x_step, x_next, x_length, x_density, y, y_step, y_next, y_length, y_density,
+        last = edges[row] - 1 if row >= 0 else BRICK - 1
+        if last > 0:
+            x, x_next, y, y_next, z, z_next = cross_cube(
+                last, x, x_step, x_next, x_length, x_density, y, y_step, y_next, y_length, y_density,
                 z, z_step, z_next, z_length, z_density,
             )  # fmt: skip
         nearest = min(x_next, min(y_next, z_next))

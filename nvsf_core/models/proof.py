@@ -1,10 +1,10 @@
 """Builds the evidence of a drive from its training scans: static surfaces, moving objects, hit priors.
 
-Three choices are made by the errors on scans that are left out: the voxel size of `reproject`, which moving
+Three choices are made by the errors on scans that are left out: the size of the coarsest voxels, which moving
 objects get a flow besides their rigid motion, and whether scans are copied where the sensor rested.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from nvsf_core.evidence.moving.objects import prove_objects
 from nvsf_core.evidence.moving.visibility import TimedReturns
 from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.stationary_scans import StationaryScans, find_stationary_scans, keep_scans
-from nvsf_core.evidence.surfels import Surfels, build_both, build_surfels, unobserved_beside
+from nvsf_core.evidence.surfels import COARSEST_M, StaticReturns, Surfels, unobserved_beside
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.models.holdout import choose_copying, is_sure, mean_range_error_m
 from nvsf_core.recipe import EvidenceSpec
@@ -31,11 +31,6 @@ from nvsf_core.recording.drive import LidarRecording, Sweeps, training_returns
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import sweep_rays
 
-FIELD_VOXEL_M = 0.2
-"""Edge of the voxels that a field corrects: finer ones do not lower its error and make its steps longer."""
-CANDIDATES_M = (0.2, 0.3)
-"""Tried in this order. With the first a sweep of 64 lasers takes about 0.2 s on 2 cores; 0.15 m would lower
-the error by 1 to 2 % for 1.4 times the time."""
 _VALIDATION_SCANS = 2
 _FEWEST_FOR_ALL = 6
 """With fewer training scans one is left out, not two: the field must not learn from half of them."""
@@ -75,36 +70,26 @@ class ScanRays:
     is_static: np.ndarray
     """(n,) bool: not of a moving object."""
 
-    def surfels(self, voxel_m: float) -> tuple[Surfels, Surfels]:
-        """Static surfels for a field, without shapes, and for `reproject`, with them."""
-        return build_both(
-            self.origin_m, self.direction, self.range_m, self.intensity,
-            voxel_m=voxel_m, is_surface=self.is_static,
-        )  # fmt: skip
+    def static(self) -> StaticReturns:
+        """The static scene's returns."""
+        return StaticReturns.of(self.origin_m, self.direction, self.range_m, self.intensity, self.is_static)
 
     def of(self, chosen: np.ndarray) -> "ScanRays":
         """The chosen (n,) returns."""
         return ScanRays(**{name: getattr(self, name)[chosen] for name in self.__slots__})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class VoxelChoice:
-    """The sizes that were tried: their errors, and the static surfels of all but the validation scans."""
+    """The coarsest voxels that were tried: their errors, and the surfels of all but the validation scans."""
 
     errors_m: dict[float, float]
-    """For each size, the mean absolute range error along the validation scans' rays, metres; a ray counts at
+    """For each edge, the mean absolute range error along the validation scans' rays, metres; a ray counts at
     most 1 m, and 1 m if nothing is met."""
-    validation: np.ndarray
-    """(1 or 2,) int64 numbers of the validation scans."""
-    static: Surfels
-    """For a field."""
-    rendered: dict[float, Surfels]
-    """For `reproject`, for each size."""
-
-    @property
-    def best_m(self) -> float:
-        """The size with the smallest error."""
-        return min(self.errors_m, key=lambda voxel_m: self.errors_m[voxel_m])
+    coarsest_m: float
+    """The edge with the smallest error."""
+    left_out: LeftOutEvidence
+    """In voxels of this edge at most."""
 
 
 def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
@@ -130,22 +115,17 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         intensity=sweeps.even_intensity(used), scan=np.repeat(np.arange(sweeps.count), lengths)[used],
         is_static=is_static[used],
     )  # fmt: skip
-    choice = choose_voxel_m(
-        rays,
-        unidentified=training[prior.is_unidentified],
-        far_m=float(sweeps.table.max_range_m),
+    choice = choose_coarsest(
+        rays, training, unidentified=training[prior.is_unidentified], far_m=float(sweeps.table.max_range_m)
     )
-    best_m = FIELD_VOXEL_M if choice is None else choice.best_m
-    static, rendered = rays.surfels(FIELD_VOXEL_M)
-    if best_m != FIELD_VOXEL_M:
-        _, rendered = rays.surfels(best_m)
-    surfels, dynamic = static, None
+    coarsest_m = COARSEST_M[0] if choice is None else choice.coarsest_m
+    static = rays.static()
+    of_field, shown = static.field(coarsest_m), static.shown(coarsest_m)
+    surfels, dynamic = of_field, None
     if not moving.is_static:
-        surfels = build_surfels(
-            rays.origin_m, rays.direction, rays.range_m, rays.intensity, voxel_m=FIELD_VOXEL_M
-        )
+        surfels = replace(rays, is_static=np.ones(len(rays.scan), bool)).static().field(coarsest_m)
         objects = _prove_motion(sweeps, returns, moving, of_training)
-        dynamic = DynamicEvidence(static=static, objects=objects)
+        dynamic = DynamicEvidence(static=of_field, objects=objects)
     evidence = SceneEvidence(
         surfels=surfels,
         prior=prior,
@@ -155,14 +135,14 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         own_intensity=a["own_vehicle_intensity"],
         dynamic=dynamic,
         stationary=_stationary_scans(sweeps, of_training, prior),
-        rendered=rendered,
-        left_out=None if choice is None else _left_out(choice, training),
-        unobserved=unobserved_beside(static, rays.origin_m, rays.direction, rays.range_m),
-        unit_gaps=_unit_gaps(sweeps, prior, rendered),
+        rendered=shown,
+        left_out=None if choice is None else choice.left_out,
+        unobserved=unobserved_beside(of_field, rays.origin_m, rays.direction, rays.range_m),
+        unit_gaps=_unit_gaps(sweeps, prior, shown),
     )  # fmt: skip
-    tried: dict[str, Scalar] = {"rendered_voxel_m": best_m}
-    for voxel_m, error_m in ({} if choice is None else choice.errors_m).items():
-        tried[f"left_out_error_m_at_{1000 * voxel_m:.0f}_mm"] = error_m
+    tried: dict[str, Scalar] = {"coarsest_voxel_m": coarsest_m}
+    for edge_m, error_m in ({} if choice is None else choice.errors_m).items():
+        tried[f"left_out_error_m_up_to_{1000 * edge_m:.0f}_mm"] = error_m
     chosen, stationary = choose_copying(LidarRecording(sweeps=sweeps, evidence=evidence))
     return chosen.evidence, tried | stationary
 
@@ -185,15 +165,6 @@ def _unit_gaps(sweeps: Sweeps, prior: DropPrior, surfels: Surfels) -> np.ndarray
         )  # fmt: skip
         is_met[number] = np.isfinite(rendered.range_m).reshape(rays.shape)
     return find_unit_gaps(prior, scans, is_met)
-
-
-def _left_out(choice: VoxelChoice, training: np.ndarray) -> LeftOutEvidence:
-    """Static surfaces without the validation scans, for the field and `reproject`; `training` (n,) scans."""
-    return LeftOutEvidence(
-        validation=np.searchsorted(training, choice.validation),
-        static=choice.static,
-        rendered=choice.rendered[choice.best_m],
-    )
 
 
 def _stationary_scans(sweeps: Sweeps, of_training: np.ndarray, prior: DropPrior) -> StationaryScans | None:
@@ -232,18 +203,21 @@ def _prove_motion(
     return choose_flow(objects)
 
 
-def choose_voxel_m(rays: ScanRays, *, unidentified: np.ndarray, far_m: float) -> VoxelChoice | None:
-    """Score voxel sizes on one or two training scans that the surfels are built without.
+def choose_coarsest(
+    rays: ScanRays, training: np.ndarray, *, unidentified: np.ndarray, far_m: float
+) -> VoxelChoice | None:
+    """Score the coarsest voxels on one or two training scans that the surfels are built without.
 
-    Sizes are tried from the finest on; the first that is worse than one before it ends the search.
+    Edges are tried from the shortest on; the first that is worse than one before it ends the search.
 
     Args:
         rays: Of the training scans.
+        training: (n,) numbers of these scans.
         unidentified: (s,) numbers of scans that are never left out, because their lasers are unknown.
         far_m: How far a ray is followed.
 
     Returns:
-        The sizes that were tried; None if there are fewer than three scans or no static return to compare.
+        None if there are fewer than three scans or no static return to compare.
     """
     scans = np.setdiff1d(np.flatnonzero(np.bincount(rays.scan)), unidentified)
     if len(scans) < _FEWEST_SCANS:
@@ -256,19 +230,19 @@ def choose_voxel_m(rays: ScanRays, *, unidentified: np.ndarray, far_m: float) ->
         return None
     most = count * _RAYS_A_SCAN
     asked = asked[np.unique(np.linspace(0, len(asked) - 1, most).astype(np.int64))]
-    errors_m: dict[float, float] = {}
-    others, rendered = rays.of(~is_validation), dict[float, Surfels]()
-    static, rendered[FIELD_VOXEL_M] = others.surfels(FIELD_VOXEL_M)
-    for voxel_m in CANDIDATES_M:
-        if voxel_m not in rendered:
-            _, rendered[voxel_m] = others.surfels(voxel_m)
-        errors_m[voxel_m] = mean_range_error_m(
-            rendered[voxel_m], rays.origin_m[asked], rays.direction[asked], rays.range_m[asked],
+    others = rays.of(~is_validation).static()
+    errors_m, shown = dict[float, float](), dict[float, Surfels]()
+    for edge_m in COARSEST_M:
+        shown[edge_m] = others.shown(edge_m)
+        errors_m[edge_m] = mean_range_error_m(
+            shown[edge_m], rays.origin_m[asked], rays.direction[asked], rays.range_m[asked],
             far_m=far_m, worst_m=_WORST_M,
         )  # fmt: skip
-        if errors_m[voxel_m] > min(errors_m.values()):
+        if errors_m[edge_m] > min(errors_m.values()):
             break
-    return VoxelChoice(errors_m=errors_m, validation=validation, static=static, rendered=rendered)
+    best_m = min(errors_m, key=lambda edge_m: errors_m[edge_m])
+    left_out = LeftOutEvidence(np.searchsorted(training, validation), others.field(best_m), shown[best_m])
+    return VoxelChoice(errors_m, best_m, left_out)
 
 
 def choose_flow(objects: tuple[ObjectEvidence, ...]) -> tuple[ObjectEvidence, ...]:

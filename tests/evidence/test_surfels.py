@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.surfels import build_both, build_surfels, candidates_of, weighted_median_index
+from nvsf_core.evidence.surfels import build_surfels, candidates_of, weighted_median_index
 from nvsf_core.geometry.voxels import index_points
 from nvsf_core.kernels.voxel_passes import count_passes
 from nvsf_core.rendering.reproject import reproject_rays
@@ -22,10 +22,10 @@ def rays_to_wall(n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return origin.astype(np.float32), (ray / range_m[:, None]).astype(np.float32), range_m.astype(np.float32)
 
 
-@pytest.fixture(scope="module", params=[0, 1], ids=["without shapes", "with shapes"])
+@pytest.fixture(scope="module", params=[False, True], ids=["without shapes", "with shapes"])
 def wall(request):
     rays = rays_to_wall(20_000, 0)
-    return build_both(*rays, np.full(20_000, 0.4), voxel_m=0.2)[request.param]
+    return build_surfels(*rays, np.full(20_000, 0.4), voxel_m=0.2, has_shapes=request.param)
 
 
 def test_every_point_lies_in_the_voxel_that_the_index_names() -> None:
@@ -74,7 +74,7 @@ def rays_to_a_heap(n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 @pytest.mark.parametrize("rays_to", [rays_to_wall, rays_to_a_heap])
 def test_see_throughs_equal_a_walk_in_small_steps(rays_to) -> None:
-    _, found = build_both(*rays_to(20_000, 0), np.full(20_000, 0.4), voxel_m=0.2)
+    found = build_surfels(*rays_to(20_000, 0), np.full(20_000, 0.4), voxel_m=0.2, has_shapes=True)
     origin, direction, range_m = rays_to(300, 5)
     index = found.index
     rows, columns = np.triu_indices(3)
@@ -120,10 +120,10 @@ def rays_to_a_road() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return origin.astype(np.float32), direction.astype(np.float32), noisy_m.astype(np.float32)
 
 
-@pytest.mark.parametrize("shaped", [0, 1])
+@pytest.mark.parametrize("shaped", [False, True])
 def test_flat_rays_over_a_road_see_through_few_of_the_voxels_that_they_cross(shaped) -> None:
     rays = rays_to_a_road()
-    road = build_both(*rays, np.zeros(60_000), voxel_m=0.2)[shaped]
+    road = build_surfels(*rays, np.zeros(60_000), voxel_m=0.2, has_shapes=shaped)
     crossed, _ = count_passes(*rays, road.index, road.mean_m, 0.0 * road.normal, np.zeros((0, 6), np.float32))
     # At 3 to 12 degrees a ray crosses up to several voxels of the road above it, before the one it ends in.
     assert crossed.sum() > 60_000
@@ -152,11 +152,15 @@ def test_surfels_without_shapes_are_the_same_together_and_alone() -> None:
         rng.uniform(size=5_000),
     )
     is_surface = rng.uniform(size=5_000) < 0.9
-    together, shaped = build_both(*rays, voxel_m=0.3, is_surface=is_surface)
-    alone = build_surfels(*rays, voxel_m=0.3, is_surface=is_surface)
-    for name, expected in alone.to_arrays().items():
-        np.testing.assert_array_equal(together.to_arrays()[name], expected, err_msg=name)
-    assert (shaped.passes <= together.passes).all() and (shaped.passes < together.passes).any()
+    plain, shaped = (
+        build_surfels(*rays, voxel_m=0.3, is_surface=is_surface, has_shapes=has) for has in (False, True)
+    )
+    own = ("precision", "passes")
+    for name, expected in plain.to_arrays().items():
+        if name not in own:
+            np.testing.assert_array_equal(shaped.to_arrays()[name], expected, err_msg=name)
+    assert len(plain.precision) == 0 and len(shaped.precision) == shaped.index.voxel_count
+    assert (shaped.passes <= plain.passes).all() and (shaped.passes < plain.passes).any()
 
 
 def test_a_ray_that_passes_a_pole_by_meets_what_is_behind_it() -> None:
@@ -168,11 +172,11 @@ def test_a_ray_that_passes_a_pole_by_meets_what_is_behind_it() -> None:
     off = np.abs(direction[:, 1] / direction[:, 0] * 5.1 + origin[:, 1] - 0.02)
     beside = off > 0.06
     along = np.linalg.norm(pole, axis=1)
-    _, both = build_both(
+    both = build_surfels(
         np.concatenate([np.zeros((n, 3), np.float32), origin[beside]]),
         np.concatenate([(pole / along[:, None]).astype(np.float32), direction[beside]]),
         np.concatenate([along.astype(np.float32), range_m[beside]]), np.zeros(n + int(beside.sum())),
-        voxel_m=0.2,
+        voxel_m=0.2, has_shapes=True,
     )  # fmt: skip
     asked = np.flatnonzero(beside & (off < 0.1))
     assert len(asked) > 100

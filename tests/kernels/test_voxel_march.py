@@ -1,30 +1,33 @@
 """Laws of the walk through a sparse voxel grid."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from nvsf_core.evidence.surfels import Surfels, build_both
+from nvsf_core.evidence.surfels import Surfels, build_surfels
+from nvsf_core.geometry.voxels import index_cells
 from nvsf_core.kernels.voxel_march import WalkLimits, find_candidates
 
 VOXEL_M = 0.5
 NEAR_M, FAR_M = 0.9, 60.0
 
 
-@pytest.fixture(scope="module", params=[0, 1], ids=["without shapes", "with shapes"])
+@pytest.fixture(scope="module", params=[False, True], ids=["without shapes", "with shapes"])
 def sparse(request: pytest.FixtureRequest) -> Surfels:
-    return thirty_heaps()[request.param]
+    return thirty_heaps(has_shapes=request.param)
 
 
-def thirty_heaps() -> tuple[Surfels, Surfels]:
+def thirty_heaps(*, has_shapes: bool) -> Surfels:
     """Surfels of thirty heaps of returns in a room of 40 m, most of whose bricks are empty."""
     generator = np.random.default_rng(0)
     points = np.repeat(heaps_m(), 200, axis=0) + generator.normal(0.0, 0.8, (6000, 3))
     range_m = np.linalg.norm(points, axis=1)
     direction = points / range_m[:, None]
     origin = np.zeros((6000, 3), np.float32)
-    return build_both(
+    return build_surfels(
         origin, direction.astype(np.float32), range_m.astype(np.float32), np.full(6000, 0.4),
-        voxel_m=VOXEL_M,
+        voxel_m=VOXEL_M, has_shapes=has_shapes,
     )  # fmt: skip
 
 
@@ -70,6 +73,25 @@ def apart(surfels: Surfels, origin: np.ndarray, direction: np.ndarray) -> np.nda
     closest = np.einsum("vi,vi->v", across, mean) / (across @ towards)
     beside = mean - closest[:, None] * towards
     return np.einsum("vi,vij,vj->v", beside, precision, beside)
+
+
+def test_a_voxel_of_several_cells_is_met_once_and_as_a_voxel_of_its_own_size() -> None:
+    """Coarse voxels on a grid of fine cells against the same voxels on a grid of their own."""
+    coarse = thirty_heaps(has_shapes=False)
+    _, voxel, opacity, cosine, count = walked(coarse)
+    place = coarse.index.places()
+    for edge in (2, 4, 8):
+        corners = np.stack(np.unravel_index(np.arange(edge**3), (edge,) * 3), axis=1)
+        cells = (place[:, None] * edge + corners).reshape(-1, 3)
+        fine, _ = index_cells(cells, coarse.index.origin_m, VOXEL_M / edge)
+        brick = cells // 8
+        within = cells % 8
+        fine.cells[fine.bricks[tuple(brick.T)], within[:, 0] * 64 + within[:, 1] * 8 + within[:, 2]] = (
+            np.repeat(np.arange(len(place)), edge**3)
+        )
+        found = walked(replace(coarse, index=fine._replace(edges=np.full(len(fine.cells), edge))))
+        assert np.array_equal(found[4], count) and np.array_equal(found[1], voxel)
+        assert found[2] == pytest.approx(opacity, abs=1e-4) and found[3] == pytest.approx(cosine, abs=1e-6)
 
 
 def walked(surfels: Surfels, stop: float = 0.0, faintest: float = 0.0) -> tuple[np.ndarray, ...]:
@@ -118,7 +140,7 @@ def missed_by(
 
 
 def test_without_shapes_a_plane_that_is_missed_stops_less_and_other_returns_stop_anywhere() -> None:
-    sparse, _ = thirty_heaps()
+    sparse = thirty_heaps(has_shapes=False)
     _, voxel, opacity, _, count = walked(sparse)
     origin, direction = some_rays()
     for ray in range(len(origin)):
@@ -130,7 +152,7 @@ def test_without_shapes_a_plane_that_is_missed_stops_less_and_other_returns_stop
 
 
 def test_opacity_falls_off_beside_a_plane_and_towards_the_ends_of_other_returns() -> None:
-    _, sparse = thirty_heaps()
+    sparse = thirty_heaps(has_shapes=True)
     _, voxel, opacity, _, count = walked(sparse)
     origin, direction = some_rays()
     missed = beside = beyond = 0

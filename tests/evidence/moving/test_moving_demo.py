@@ -10,7 +10,7 @@ from nvsf_core.evidence.moving.detection import ABOVE_GROUND_M, find_moving_obje
 from nvsf_core.evidence.moving.object_evidence import MovingObjects, boxes_on_way
 from nvsf_core.evidence.moving.objects import prove_objects
 from nvsf_core.evidence.moving.visibility import TimedReturns
-from nvsf_core.evidence.surfels import build_both
+from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.geometry.se3 import invert_pose, pose_from_parts, transform_points
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import Trajectory, compensate
@@ -144,17 +144,17 @@ def test_unknown_lasers_show_no_motion(street) -> None:
     assert find_moving_objects(blind).is_static
 
 
-@pytest.mark.parametrize("shaped", [0, 1])
+@pytest.mark.parametrize("shaped", [False, True])
 def test_rays_of_the_left_out_scan_meet_what_stands_within_two_centimetres(street, shaped) -> None:
     returns, _, world, moving = street
     stays = (moving.object_id < 0) & ~returns.is_own_vehicle
     _, fired_from = returns.trajectory.at(returns.time_s[stays])
     along = returns.point_m[stays] - fired_from
     range_m = np.linalg.norm(along, axis=1)
-    surfels = build_both(
+    surfels = build_surfels(
         fired_from.astype(np.float32), (along / range_m[:, None]).astype(np.float32),
-        range_m.astype(np.float32), np.zeros(len(range_m)), voxel_m=0.2,
-    )[shaped]  # fmt: skip
+        range_m.astype(np.float32), np.zeros(len(range_m)), voxel_m=0.2, has_shapes=shaped,
+    )  # fmt: skip
     scan = simulate_scan(world, 15, LASERS, FIRINGS)
     origin, direction, _ = compensate(
         HDL_64E, scan.points_m, LASERS[scan.laser], scan.time_s, returns.trajectory
