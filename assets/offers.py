@@ -11,7 +11,7 @@ import dagster as dg
 from assets.scenes import key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.catalogue import SceneEntry
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.stages.runner.record import RECORD_NAME, made_s, read_record
 from nvsf_core.stages.runner.trained import newest_field
 from nvsf_core.stores.scene_store import SceneStore, published

@@ -9,7 +9,8 @@ import dagster as dg
 
 from nvsf_core.drives.catalogue import SceneEntry, catalogue_from_environment, home_from_environment
 from nvsf_core.errors import NvsfError
-from nvsf_core.recipe import preset, seed_from_text
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.seed import seed_from_text
 from nvsf_core.stages import Outcome, RunConfig, SceneRun, Stage, find_scene, plan_run, run_named_stage
 from nvsf_core.stages.runner.failures import remember_failure
 from nvsf_core.stages.runner.run import DEFAULT_RECIPE

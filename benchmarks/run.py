@@ -19,7 +19,8 @@ from benchmarks.speed_error.document import write_document
 from benchmarks.speed_error.plan import FULL, RESULTS
 from benchmarks.tables.results_table import write
 from nvsf_core.drives.catalogue import home_from_environment
-from nvsf_core.recipe import PaperRecipe, preset
+from nvsf_core.recipe.paper import PaperRecipe
+from nvsf_core.recipe.presets import preset
 
 
 def main() -> int:

@@ -7,7 +7,7 @@ from typing import Any
 
 import mkdocs_gen_files
 
-from nvsf_core.recipe import preset, preset_names
+from nvsf_core.recipe.presets import preset, preset_names
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("nvsf_core", "assets", "pipelines")

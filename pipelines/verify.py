@@ -6,7 +6,7 @@ from pathlib import Path
 
 from nvsf_core.drives.catalogue import SceneEntry, catalogue_from_environment, home_from_environment
 from nvsf_core.names import RESERVED_SCENES, name_fault
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.stages import STAGES, RunConfig, SceneRun, find_scene
 from nvsf_core.stages.runner.run import say_on_stderr
 from nvsf_core.stages.runner.trained import trained_fields

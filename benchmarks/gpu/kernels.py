@@ -12,8 +12,8 @@ from torch import Tensor
 
 from benchmarks.common.documents import Row
 from benchmarks.gpu.plan import Plan
-from nvsf_core.encodings import HashGrid
-from nvsf_core.kernels import GridLayout, hash_grid_encode, planes_sample
+from nvsf_core.kernels.encodings.hash_grid import GridLayout, HashGrid, hash_grid_encode
+from nvsf_core.kernels.encodings.planes import planes_sample
 
 _COPIED = 1 << 30
 """Bytes of the copy that the bandwidth is measured by, on a GPU."""

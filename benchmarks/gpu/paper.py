@@ -16,7 +16,8 @@ from benchmarks.speed_error.sizes import probe, timed
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.drive import has_data
 from nvsf_core.models.paper.scene import training_frames
-from nvsf_core.recipe import PaperRecipe, Recipe
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.paper import PaperRecipe
 from nvsf_core.recording.drive import Recording
 from nvsf_core.stages.runner.run import say_on_stderr, write_demo_where_absent
 

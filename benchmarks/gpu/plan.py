@@ -6,8 +6,11 @@ from pathlib import Path
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
-from nvsf_core.kernels import GridLayout
-from nvsf_core.recipe import PaperRecipe, Recipe, ResidualRecipe, TrainingSpec, preset
+from nvsf_core.kernels.encodings.hash_grid import GridLayout
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.paper import PaperRecipe
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import ResidualRecipe, TrainingSpec
 
 LAYOUTS = {
     "8 levels, F 2, T 2^17, 16..2048": GridLayout(8, 2, 17, 16, 2048),

@@ -18,7 +18,7 @@ from benchmarks.common.documents import ROOT, write_measured
 from benchmarks.tables.results_table import WALK_RESULTS, write
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.evidence.surfels import StaticReturns, Surfels, candidates_of
-from nvsf_core.recipe import EvidenceSpec
+from nvsf_core.recipe.residual import EvidenceSpec
 from nvsf_core.recording.drive import Sweeps
 from nvsf_core.rendering.reproject import NEAR_M, reproject_rays
 from nvsf_core.stages.inputs import read_evidence, read_sweeps

@@ -17,7 +17,7 @@ from benchmarks.speed_error.sizes import NAME, chosen_size, timed
 from benchmarks.tables.results_table import RECIPES, measured_rows, write
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.errors import DataError
-from nvsf_core.recipe import PaperRecipe
+from nvsf_core.recipe.paper import PaperRecipe
 from nvsf_core.stages.runner.run import DEFAULT_RECIPE, run_scene
 
 _SEED = 0

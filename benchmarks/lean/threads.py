@@ -20,7 +20,8 @@ from benchmarks.common.documents import DOCS
 from nvsf_core.kernels.threads import use_threads
 from nvsf_core.models.family import ResumedPart, family_of
 from nvsf_core.models.residual import lidar as residual_lidar
-from nvsf_core.recipe import ResidualRecipe, TrainingSpec, preset
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.host import machine

@@ -33,7 +33,8 @@ from nvsf_core.metrics.protocols import PanoImage
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.models.paper.family import train_on_frames
 from nvsf_core.models.paper.scene import load, training_frames
-from nvsf_core.recipe import ABLATION, ENCODINGS, PaperRecipe
+from nvsf_core.recipe.paper import PaperRecipe
+from nvsf_core.recipe.presets import ABLATION, ENCODINGS
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.warping import shrunk
 from nvsf_core.simulation.scene_model import ImageRenderer, SceneModel

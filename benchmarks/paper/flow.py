@@ -22,8 +22,7 @@ from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.fields.flow import FlowField, applied
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.models.paper.flow_training import train_flow
-from nvsf_core.recipe import FlowSpec, PaperRecipe
-from nvsf_core.recipe.paper import GridSpec, ReferenceQuirks
+from nvsf_core.recipe.paper import FlowSpec, GridSpec, PaperRecipe, ReferenceQuirks
 from nvsf_core.stages.inputs import read_sweeps
 from nvsf_core.stages.runner.run import (
     find_scene,

@@ -9,7 +9,7 @@ import torch
 from benchmarks.common.documents import DOCS, markdown_table, write_between
 from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.fields.scene_field import SceneField
-from nvsf_core.recipe import PaperRecipe
+from nvsf_core.recipe.paper import PaperRecipe
 
 DOCUMENT = DOCS / "paper_fidelity.md"
 _FRAMES = 64

@@ -18,7 +18,7 @@ from nvsf_core.models.family import training_device
 from nvsf_core.models.paper.scene import training_frames
 from nvsf_core.models.paper.step import paper_step
 from nvsf_core.models.paper.training_frames import PaperFrames, PaperTrainee
-from nvsf_core.recipe import PaperRecipe
+from nvsf_core.recipe.paper import PaperRecipe
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.run import find_scene
 from nvsf_core.training.adam import Adam

@@ -22,7 +22,9 @@ from benchmarks.speed_error.sizes import SIZE_SECONDS, SIZES, chosen_size
 from nvsf_core.drives.catalogue import catalogue_from_environment
 from nvsf_core.drives.drive import has_data
 from nvsf_core.metrics.table import BASELINES
-from nvsf_core.recipe import PaperRecipe, Recipe, preset
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.paper import PaperRecipe
+from nvsf_core.recipe.presets import preset
 from nvsf_core.stages.runner.run import DEMO_SCENE, say_on_stderr
 
 SCENE = "k360_street"

@@ -26,7 +26,9 @@ from nvsf_core.metrics.table import BASELINES
 from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.models.family import Trained, family_of
 from nvsf_core.models.residual.lidar import SHOWS_FIELD
-from nvsf_core.recipe import PaperRecipe, Recipe, preset
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.paper import PaperRecipe
+from nvsf_core.recipe.presets import preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages import STAGE_NAMES

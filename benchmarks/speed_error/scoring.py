@@ -17,7 +17,9 @@ from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics.elementwise import psnr
 from nvsf_core.metrics.protocols import MAX_RANGE_M, PanoImage, lidar4d, project_scan
 from nvsf_core.metrics.range_and_intensity import ray_range_metrics
-from nvsf_core.recipe import EvidenceSpec, PaperRecipe, Recipe, ResidualRecipe
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.paper import PaperRecipe
+from nvsf_core.recipe.residual import EvidenceSpec, ResidualRecipe
 from nvsf_core.recording.drive import Recording
 from nvsf_core.recording.images import CameraImages
 from nvsf_core.rendering.reproject import NEAR_M

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.speed_error.plan import VAL, OneRun, read_result
-from nvsf_core.recipe import PaperRecipe, preset
+from nvsf_core.recipe.paper import PaperRecipe
+from nvsf_core.recipe.presets import preset
 from nvsf_core.reporting.speed_error import METRICS, final_values
 
 SIZE_SECONDS = 60.0

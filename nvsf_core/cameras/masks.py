@@ -1,25 +1,10 @@
-"""Masks of the pixels of a view that show part of the recorded image."""
+"""The mask of the pixels that light reaches."""
 
 import cv2
 import numpy as np
 
 _LIT = 8
 """Grey value that an unlit pixel never reaches."""
-
-
-def inside_source(map_u: np.ndarray, map_v: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Where a resampling map reads wholly inside its source image.
-
-    Args:
-        map_u: (H, W) source column that each pixel reads; NaN = none.
-        map_v: (H, W) source row that each pixel reads.
-        width: Columns of the source.
-        height: Rows of the source.
-
-    Returns:
-        (H, W) bool: all four source pixels of the bilinear interpolation exist.
-    """
-    return np.asarray((map_u >= 0.0) & (map_u <= width - 1.0) & (map_v >= 0.0) & (map_v <= height - 1.0))
 
 
 def lens_circle(brightest: np.ndarray) -> np.ndarray:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from nvsf_core.cameras.masks import inside_source
 from nvsf_core.errors import ShapeError
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
@@ -19,15 +18,13 @@ class Undistorter:
     """The resampling map of one camera, computed once for all its images."""
 
     fisheye: MeiFisheye
-    """The recorded camera."""
     view: Pinhole
-    """The camera of the result."""
     map_u: np.ndarray
     """(H, W) float32: column of the source that each pixel shows."""
     map_v: np.ndarray
     """(H, W) float32: its row."""
     valid: np.ndarray
-    """(H, W) bool: the source has that pixel."""
+    """(H, W) bool: the source has all four pixels that it is interpolated from."""
 
     def apply(self, image: np.ndarray) -> np.ndarray:
         """Resample one (h, w, 3) uint8 image bilinearly; invalid pixels become black.
@@ -59,5 +56,5 @@ def make_undistorter(fisheye: MeiFisheye, view: Pinhole) -> Undistorter:
         cv2.CV_32FC1,
         cv2.omnidir.RECTIFY_PERSPECTIVE,
     )
-    valid = inside_source(map_u, map_v, fisheye.width, fisheye.height)
+    valid = (map_u >= 0.0) & (map_u <= fisheye.width - 1.0) & (map_v >= 0.0) & (map_v <= fisheye.height - 1.0)
     return Undistorter(fisheye=fisheye, view=view, map_u=map_u, map_v=map_v, valid=valid)

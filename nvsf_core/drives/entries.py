@@ -24,7 +24,7 @@ from nvsf_core.drives.view_entry import EXPORTS, ViewEntry
 from nvsf_core.drives.view_parts import CAMERA_NAME
 from nvsf_core.errors import DataError, RecipeError
 from nvsf_core.names import RESERVED_SCENES
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.sensors.tables import SENSOR_TABLES
 
 __all__ = ["DRIVE_KINDS", "EXPORTS", "FOUND", "KITTI360", "MOST_FRAMES", "SceneEntry", "ViewEntry"]

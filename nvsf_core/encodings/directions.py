@@ -64,23 +64,12 @@ def spherical_harmonics(directions: Tensor) -> Tensor:
     )
 
 
-def frequency_outputs(dimensions: int, frequencies: int) -> int:
-    """Length of the frequency encoding: sine and cosine of each octave of each coordinate."""
-    return 2 * dimensions * frequencies
-
-
 def frequency_encode(x: Tensor, frequencies: int) -> Tensor:
-    """``sin(2^k pi x), cos(2^k pi x)`` for k = 0 .. frequencies - 1.
+    """``sin(2^k pi x), cos(2^k pi x)`` for k = 0 .. frequencies - 1 >= 0, of any finite numbers (..., d).
 
     Multiples of 2 pi are subtracted before the sine, without rounding (a power of two times x is exact), so
-    that high octaves are as precise as low ones.
-
-    Args:
-        x: (..., d) floating, any finite number.
-        frequencies: number of octaves, at least 1.
-
-    Returns:
-        (..., 2 * d * frequencies): by coordinate, by octave, sine then cosine (as in tiny-cuda-nn).
+    that high octaves are as precise as low ones. (..., 2 * d * frequencies): by coordinate, by octave, sine
+    then cosine (as in tiny-cuda-nn).
     """
     octaves = torch.tensor([2.0**k for k in range(frequencies)], dtype=x.dtype, device=x.device)
     # Before the octaves too, or a large x times a high octave is infinite.

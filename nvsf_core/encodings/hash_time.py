@@ -9,9 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from nvsf_core.errors import RecipeError
-from nvsf_core.kernels import GridLayout, hash_grid_encode
-from nvsf_core.kernels.encodings.hash_grid import HashGrid
-from nvsf_core.recipe import TimeGridSpec
+from nvsf_core.kernels.encodings.hash_grid import GridLayout, HashGrid, hash_grid_encode
+from nvsf_core.recipe.paper import TimeGridSpec
 
 SPACE_PLANES = (slice(0, 2), slice(0, 3, 2), slice(1, 3))
 """Slices that select the coordinates xy, xz, yz of positions (n, 3), as views."""

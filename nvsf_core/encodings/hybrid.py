@@ -7,9 +7,8 @@ from torch import Tensor, nn
 
 from nvsf_core.encodings.hash_time import HashTime
 from nvsf_core.encodings.planes import Planes4D
-from nvsf_core.kernels import GridLayout
-from nvsf_core.kernels.encodings.hash_grid import HashGrid
-from nvsf_core.recipe import EncoderSpec, GridSpec
+from nvsf_core.kernels.encodings.hash_grid import GridLayout, HashGrid
+from nvsf_core.recipe.paper import EncoderSpec, GridSpec
 
 
 def grid_of(spec: GridSpec) -> GridLayout:

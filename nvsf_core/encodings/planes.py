@@ -6,8 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from nvsf_core.encodings.hash_time import SPACE_PLANES, two_slices
-from nvsf_core.kernels import planes_sample
-from nvsf_core.recipe import PlanesSpec
+from nvsf_core.kernels.encodings.planes import planes_sample
+from nvsf_core.recipe.paper import PlanesSpec
 
 _SPACE_START = (0.1, 0.5)
 """Initial values of space planes are uniform in this interval; those of time planes are 1."""

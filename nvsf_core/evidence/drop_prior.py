@@ -86,8 +86,7 @@ class DropPrior:
         firings = self.fraction[scan][: self.firings_of(scan)]
         right = np.minimum(np.searchsorted(firings, fraction), len(firings) - 1)
         left = np.maximum(right - 1, 0)
-        nearest: np.ndarray = np.where(fraction - firings[left] < firings[right] - fraction, left, right)
-        return nearest
+        return np.where(fraction - firings[left] < firings[right] - fraction, left, right)
 
     def firing_phase(self) -> float:
         """The `firing_phase` of all scans."""
@@ -224,5 +223,4 @@ def find_unit_gaps(prior: DropPrior, scans: np.ndarray, is_met: np.ndarray) -> n
 
 def cells_of(fraction: np.ndarray, cells: int) -> np.ndarray:
     """Cell numbers (f,) int64 of sweep fractions (f,) -0.5..0.5; a sweep has `cells` cells."""
-    found: np.ndarray = np.clip(np.floor((fraction + 0.5) * cells), 0, cells - 1).astype(np.int64)
-    return found
+    return np.clip(np.floor((fraction + 0.5) * cells), 0, cells - 1).astype(np.int64)

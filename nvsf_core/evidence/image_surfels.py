@@ -59,5 +59,4 @@ def _views_there(point_m: np.ndarray, view: np.ndarray) -> np.ndarray:
     cell -= cell.min(axis=0)
     _, voxel = np.unique(np.ravel_multi_index(cell.T, cell.max(axis=0) + 1), return_inverse=True)
     pairs = np.unique(voxel * (view.max() + 1) + view)
-    found: np.ndarray = np.bincount(pairs // (view.max() + 1))[voxel]
-    return found
+    return np.bincount(pairs // (view.max() + 1))[voxel]

@@ -159,10 +159,7 @@ def look_up_stationary(
 def _apart(scan_s: np.ndarray, sweep_s: np.ndarray, trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Metres (17,), negative for earlier scans, and radians (17,) between a scan's poses and a sweep's.
 
-    Args:
-        scan_s: (17,) instants at which the scan measured even azimuths.
-        sweep_s: (17,) those of the sweep.
-        trajectory: All recorded poses.
+    At the instants (17,) at which each measured even azimuths.
     """
     turned, moved = trajectory.at(scan_s)
     turn, place = trajectory.at(sweep_s)

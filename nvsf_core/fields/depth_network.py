@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from nvsf_core.fields.layers import undrawn
 from nvsf_core.kernels.images.plane_features import N_FEATURES
-from nvsf_core.recipe import CameraSpec
+from nvsf_core.recipe.residual import CameraSpec
 
 _FULL_CHANNELS = 8
 """Channels at the resolution of the planes themselves."""

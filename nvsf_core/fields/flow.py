@@ -9,9 +9,8 @@ from nvsf_core.encodings.hash_time import NODES, contract_nodes, cubic_basis
 from nvsf_core.encodings.hybrid import grid_of
 from nvsf_core.errors import RecipeError
 from nvsf_core.fields.layers import bias_free
-from nvsf_core.kernels import hash_grid_encode
-from nvsf_core.kernels.encodings.hash_grid import HashGrid
-from nvsf_core.recipe import FlowSpec, ReferenceQuirks
+from nvsf_core.kernels.encodings.hash_grid import HashGrid, hash_grid_encode
+from nvsf_core.recipe.paper import FlowSpec, ReferenceQuirks
 
 _LAST_LAYER_STD = 1e-3
 """Standard deviation of the last layer's initial weights: the flow starts near 0."""
@@ -45,14 +44,9 @@ class FlowField(nn.Module):
         nn.init.normal_(self.network[-1].weight, std=_LAST_LAYER_STD, generator=generator)  # type: ignore[arg-type]
 
     def forward(self, x01: Tensor, t: float) -> tuple[Tensor, Tensor]:
-        """Displacements of positions at one time to the next and to the previous frame.
+        """Displacements (n, 3), scaled units, at a time in [0, 1] to the next and to the previous frame.
 
-        Args:
-            x01: (n, 3) in the unit cube (clamped).
-            t: Time in [0, 1], the first and the last frame.
-
-        Returns:
-            Forward and backward displacement, each (n, 3), scaled units.
+        Positions (n, 3) are in the unit cube (clamped).
         """
         table = contract_nodes(self.grid.table, cubic_basis(t))
         both = self.network(hash_grid_encode(x01, table, self.contracted))

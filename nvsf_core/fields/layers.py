@@ -9,9 +9,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.functional import linear
 
-from nvsf_core.encodings import SPHERICAL_HARMONICS_OUTPUTS, frequency_encode, frequency_outputs
 from nvsf_core.numerics import safe_exp
-from nvsf_core.recipe import HeadsSpec
+from nvsf_core.recipe.paper import HeadsSpec
+from nvsf_core.recipe.residual import HitsSpec, PanoSpec
 
 _Layer = TypeVar("_Layer", bound=nn.Module)
 
@@ -88,21 +88,6 @@ class Head(nn.Module):
         return torch.sigmoid(self.network[1:](hidden))
 
 
-def lidar_head(spec: HeadsSpec, generator: torch.Generator) -> Head:
-    """Head for intensity or hit probability, from the frequency encoding of the direction."""
-    return Head(frequency_outputs(3, spec.lidar_frequencies), 1, spec, generator)
-
-
-def colour_head(spec: HeadsSpec, generator: torch.Generator) -> Head:
-    """Head for red, green and blue, from spherical harmonics of the direction."""
-    return Head(SPHERICAL_HARMONICS_OUTPUTS, 3, spec, generator)
-
-
-def lidar_direction(direction: Tensor, spec: HeadsSpec) -> Tensor:
-    """Frequency encoding (..., 6 * frequencies) of unit vectors (..., 3), mapped to 0..1 before."""
-    return frequency_encode(0.5 * (direction + 1.0), spec.lidar_frequencies)
-
-
 class Density(nn.Module):
     """Network for sigma of eq. 3 and geometry features for the heads: one hidden layer, no biases."""
 
@@ -125,19 +110,11 @@ class CellNetwork(nn.Module):
     """
 
     def __init__(
-        self, features: int, outputs: int, generator: torch.Generator, *, channels: int, layers: int
+        self, features: int, outputs: int, spec: HitsSpec | PanoSpec, generator: torch.Generator
     ) -> None:
-        """Sample all weights from `generator`.
-
-        Args:
-            features: Input channels of a cell.
-            outputs: Corrections a cell.
-            generator: The only source of randomness.
-            channels: Width of the hidden layers.
-            layers: Number of hidden layers.
-        """
+        """Sample all weights from `generator`; a cell has `features` inputs and `outputs` corrections."""
         super().__init__()
-        sizes = (features, *[channels] * layers, outputs)
+        sizes = (features, *[spec.channels] * spec.layers, outputs)
         self.layers = nn.ModuleList(
             undrawn(nn.Conv2d, fan_in, fan_out, 3) for fan_in, fan_out in itertools.pairwise(sizes)
         )

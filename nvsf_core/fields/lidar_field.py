@@ -17,7 +17,7 @@ from nvsf_core.fields.layers import network
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.kernels.encodings.hash_grid import HashGrid, grid_layout
 from nvsf_core.kernels.surface_list import N_FACTS, list_surfaces
-from nvsf_core.recipe import FieldSpec
+from nvsf_core.recipe.residual import FieldSpec
 
 _STOP_TRANSMITTANCE, _FAINTEST = 0.02, 0.005
 """Limits of a field's rays, see `WalkLimits`. What lies behind nearly all of the light, or stops hardly any,
@@ -27,17 +27,10 @@ is a seventh to a sixth of all surfaces, and correcting it made no error smaller
 def object_places(paths: tuple[MovingObject, ...], bounds: Bounds, gap_m: float) -> np.ndarray:
     """Where in the field's cube the corrections of each moving object are stored.
 
-    Objects must overlap neither the street nor each other. They are placed in rows under the cube's top,
-    which is empty because a street is not as high as it is wide; the next layer is below. When the cube is
-    full, places are reused from the top.
-
-    Args:
-        paths: The scene's objects, in their order.
-        bounds: The field's cube.
-        gap_m: Space between two objects: a cell of the coarsest level.
-
-    Returns:
-        (n, 3) float64 shifts from each object's own frame to its place in the cube, metres.
+    Shifts (n, 3) float64, metres, from each object's own frame. Objects must overlap neither the street nor
+    each other. They are placed in rows under the cube's top, which is empty because a street is not as high
+    as it is wide; the next layer is below. When the cube is full, places are reused from the top. Between two
+    objects there is a cell of the coarsest level, `gap_m`.
     """
     if not paths:
         return np.zeros((0, 3))
@@ -48,8 +41,7 @@ def object_places(paths: tuple[MovingObject, ...], bounds: Bounds, gap_m: float)
     steps = np.stack([column, row, a_row - 1 - layer], axis=1) + 0.5
     steps[:, 2] += bounds.edge_m / pitch_m - a_row
     middle_m = np.array([0.5 * (path.low_m + path.high_m) for path in paths])
-    places: np.ndarray = corner + steps * pitch_m - middle_m
-    return places
+    return corner + steps * pitch_m - middle_m
 
 
 class ObjectSurfaces(NamedTuple):

@@ -5,11 +5,13 @@ from typing import Any, Literal, cast
 import torch
 from torch import Tensor, nn
 
-from nvsf_core.encodings import HybridEncoding, spherical_harmonics, start_alike
+from nvsf_core.encodings.directions import SPHERICAL_HARMONICS_OUTPUTS, frequency_encode, spherical_harmonics
+from nvsf_core.encodings.hybrid import HybridEncoding
 from nvsf_core.errors import RecipeError
 from nvsf_core.fields.flow import FlowField, applied
-from nvsf_core.fields.layers import Density, colour_head, lidar_direction, lidar_head
-from nvsf_core.recipe import PaperOptimiser, PaperRecipe
+from nvsf_core.fields.layers import Density, Head
+from nvsf_core.kernels.encodings.hash_grid import start_alike
+from nvsf_core.recipe.paper import PaperOptimiser, PaperRecipe
 
 Moved = tuple[Tensor, float]
 """Points (n, 3) of the unit cube, moved to another frame, and that frame's time t."""
@@ -32,9 +34,10 @@ class SceneField(nn.Module):
         self.flow = FlowField(recipe.flow, generator)
         self.read = sensors if recipe.encoders == "separate_fused" else 1
         self.density_network = Density(self.read * sum(encoders[0].outputs), recipe.heads, generator)
-        self.intensity = lidar_head(recipe.heads, generator)
-        self.hit = lidar_head(recipe.heads, generator)
-        self.colour = colour_head(recipe.heads, generator) if recipe.sampling.camera else None
+        angles, harmonics = 6 * recipe.heads.lidar_frequencies, SPHERICAL_HARMONICS_OUTPUTS
+        self.intensity = Head(angles, 1, recipe.heads, generator)
+        self.hit = Head(angles, 1, recipe.heads, generator)
+        self.colour = Head(harmonics, 3, recipe.heads, generator) if recipe.sampling.camera else None
         if recipe.slips.identical_tables:
             start_alike(self)
 
@@ -63,10 +66,13 @@ class SceneField(nn.Module):
             dynamic = torch.add(dynamic, encoder.dynamic(there, t, hash_gradient=False), alpha=0.25)
         return torch.cat([encoder.static(x01), dynamic], dim=1)
 
-    def lidar(self, direction: Tensor, geometry: Tensor) -> tuple[Tensor, Tensor]:
-        """Intensity i and hit probability p, (n,) each in 0..1, of unit directions and geometry features."""
-        angles = lidar_direction(direction, self.recipe.heads)
-        return self.intensity(angles, geometry)[..., 0], self.hit(angles, geometry)[..., 0]
+    def lidar(self, direction: Tensor, geometry: Tensor) -> Tensor:
+        """Intensity i and hit probability p, (n, 2) in 0..1, of unit directions (n, 3) and geometry features.
+
+        Directions are encoded by frequency, mapped to 0..1 before.
+        """
+        angles = frequency_encode(0.5 * (direction + 1.0), self.recipe.heads.lidar_frequencies)
+        return torch.cat([self.intensity(angles, geometry), self.hit(angles, geometry)], dim=-1)
 
     def camera(self, direction: Tensor, geometry: Tensor) -> Tensor:
         """Colour c, (n, 3) in 0..1, of unit directions (n, 3) and geometry features (n, g).

@@ -19,7 +19,6 @@ class Bounds:
     centre_m: tuple[float, float, float]
     """Scene-local metres."""
     half_m: float
-    """Half the edge."""
     bound: float = 1.0
     """The unit cube spans plus/minus this in scaled units; the authors' 2 leaves half of every axis empty."""
 
@@ -36,13 +35,9 @@ class Bounds:
     ) -> "Bounds":
         """The cube of a scene: "point clouds are centred and scaled such that they fall within a unit cube".
 
-        Centre: the middle of the box of all but the outermost points of each axis; half edge: that box's
-        longest half axis. The authors' box, from the extremes (share 0), is moved by one stray point.
-
-        Args:
-            points_m: (n, 3) scene-local metres.
-            outermost_share: In [0, 1): share of the points left out per axis, half at either end.
-            bound: Of the unit cube, in scaled units.
+        Of points (n, 3), scene-local metres. Centre: the middle of the box of all but the outermost points of
+        each axis, a share in [0, 1), half at either end; half edge: that box's longest half axis. The
+        authors' box, from the extremes (share 0), is moved by one stray point.
 
         Raises:
             ShapeError: The points are not (n, 3) with n > 0.

@@ -12,23 +12,15 @@ CORNERS = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5], indexing="
 def box_corners(boxes: np.ndarray) -> np.ndarray:
     """Corners (B, 8, 3), metres, of boxes (B, 4, 4), in the frame that the boxes map to."""
     _require_boxes(boxes)
-    corners: np.ndarray = CORNERS @ np.moveaxis(boxes[:, :3, :3], 1, 2) + boxes[:, None, :3, 3]
-    return corners
+    return CORNERS @ np.moveaxis(boxes[:, :3, :3], 1, 2) + boxes[:, None, :3, 3]
 
 
 def inside_any(points_m: np.ndarray, boxes: np.ndarray, grown_m: float = 0.0) -> np.ndarray:
-    """Which points lie in at least one box, its surface included.
+    """Which points (N,) bool lie in at least one box, its surface included.
 
-    Each box is grown by `grown_m` beyond each of its faces: a point p is inside if every coordinate of
-    B^-1 p is at most 1/2 + grown / edge, the edge being the length of the box's column.
-
-    Args:
-        points_m: (N, 3) metres, in the frame that the boxes map to.
-        boxes: (B, 4, 4) unit cube to that frame.
-        grown_m: Metres added on every side.
-
-    Returns:
-        (N,) bool; all False where there is no box. A point that is not finite is in none.
+    Points (N, 3) are in the frame that the boxes (B, 4, 4) map the unit cube to, metres. Each box is grown by
+    `grown_m` beyond each of its faces: a point p is inside if every coordinate of B^-1 p is at most 1/2 +
+    grown / edge, the edge being the length of the box's column. A point that is not finite is in none.
 
     Raises:
         ShapeError: The arrays are not (N, 3) and (B, 4, 4), or a box is flat.

@@ -17,11 +17,9 @@ _AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 def covering_rotations(rays: np.ndarray, pinhole: Pinhole) -> tuple[np.ndarray, ...]:
-    """Rotations, each (3, 3) of an image in the camera's own axes, that cover a camera.
+    """Rotations, each (3, 3) of an image in the camera's own axes, that cover the rays (n, 3) of its pixels.
 
-    Args:
-        rays: (n, 3) of the pixels that are covered, in the camera's axes.
-        pinhole: The camera whose images are turned.
+    `pinhole` is the camera whose images are turned.
 
     Raises:
         DataError: They would be too many, or leave something out: the turned camera's field of view is too
@@ -62,14 +60,9 @@ def require_coverage(model: Pinhole | MeiFisheye, pinhole: Pinhole) -> None:
 
 
 def camera_rays(model: Pinhole | MeiFisheye, step_px: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Directions of a camera's pixels.
+    """Unit directions (H, W, 3) of a camera's pixels in its axes, and whether (H, W) the lens sees them.
 
-    Args:
-        model: The camera.
-        step_px: From pixel to pixel; the last column and row are always among them.
-
-    Returns:
-        Unit directions (H, W, 3) in the camera's axes, and whether (H, W) the lens sees them.
+    Of every `step_px`-th pixel; the last column and row are always among them.
     """
     columns, rows = (
         np.unique([*range(0, side, step_px), side - 1]).astype(np.float64)

@@ -53,9 +53,7 @@ class MeiFisheye:
     v0: float
     """Row of the optical axis, pixels."""
     width: int
-    """Columns of the image."""
     height: int
-    """Rows of the image."""
 
     def __post_init__(self) -> None:
         """Refuse unphysical values."""
@@ -174,19 +172,9 @@ def shown_as(lens: Pinhole | MeiFisheye) -> Pinhole:
     return lens.as_pinhole or perspective_view(lens)
 
 
-def perspective_view(fisheye: MeiFisheye, fov_deg: float = 90.0) -> Pinhole:
-    """The square perspective camera that a fisheye is undistorted to: as high as it, at most 1000 pixels.
-
-    Args:
-        fisheye: The recorded camera.
-        fov_deg: Horizontal (and vertical) field of view, in (0, 170].
-
-    Raises:
-        ValueError: The field of view is not one that a perspective image can show.
-    """
-    if not 0.0 < fov_deg <= 170.0:
-        raise ValueError(f"expected a field of view in (0, 170] degrees, found {fov_deg}")
+def perspective_view(fisheye: MeiFisheye) -> Pinhole:
+    """The square view of 90 degrees that a fisheye is undistorted to: as high as it, at most 1000 pixels."""
     size = min(fisheye.height, _LARGEST_VIEW_PX)
-    focal = 0.5 * size / math.tan(math.radians(0.5 * fov_deg))
+    focal = 0.5 * size / math.tan(math.radians(45.0))
     centre = 0.5 * (size - 1)
     return Pinhole(fx=focal, fy=focal, cx=centre, cy=centre, width=size, height=size)

@@ -29,9 +29,7 @@ class Pinhole:
     cy: float
     """Row of the optical axis, pixels."""
     width: int
-    """Columns of the image."""
     height: int
-    """Rows of the image."""
 
     def __post_init__(self) -> None:
         """Refuse unphysical values."""
@@ -50,13 +48,7 @@ class Pinhole:
         return np.stack([columns, rows], axis=-1).astype(np.float64)
 
     def rays(self, pixels: np.ndarray) -> np.ndarray:
-        """Unit directions in the camera frame through pixels.
-
-        Args:
-            pixels: (..., 2) as (u, v).
-
-        Returns:
-            (..., 3) float64, each of length 1 with z > 0.
+        """Unit directions (..., 3) float64, z > 0, in the camera frame through pixels (..., 2) as (u, v).
 
         Raises:
             ShapeError: The last axis is not 2 long.
@@ -70,14 +62,9 @@ class Pinhole:
         return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
 
     def project(self, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels of points in the camera frame.
+        """Pixels (..., 2) float64 of points (..., 3), metres, in the camera frame; NaN if not in front of it.
 
-        Args:
-            points_m: (..., 3), metres.
-
-        Returns:
-            `pixels` (..., 2) float64, NaN for points that are not in front of the camera, and
-            `inside` (...) bool: the point is in front and its pixel centre lies in the image.
+        And `inside` (...) bool: the point is in front and its pixel centre lies in the image.
 
         Raises:
             ShapeError: The last axis is not 3 long.
@@ -107,7 +94,6 @@ def contains(pixels: np.ndarray, width: int, height: int) -> np.ndarray:
 FOCAL_WIDTHS = (0.05, 50.0)
 """Focal length over image width: from beyond any fisheye (0.05) to a telescope (50)."""
 MOST_SIDE_PX = 16_384
-"""Longest side of an image."""
 LEAST_RECORDED_SIDE_PX = 8
 """Shortest side of a recorded image: colours and depths are taken between pixels, also of smaller copies."""
 MOST_PIXELS = 64_000_000
@@ -121,14 +107,11 @@ _AXIS_SIDES = 1.0
 def intrinsics_fault(
     focal_px: tuple[float, float], axis_px: tuple[float, float], size_px: tuple[float, float]
 ) -> str | None:
-    """What is unphysical about a camera; None where nothing is.
+    """What is unphysical about a camera, all in pixels; None where nothing is.
 
-    A focal length of 1e-300, for example, is positive and finite, but coordinates computed with it overflow.
-
-    Args:
-        focal_px: Horizontal and vertical focal length (or scale, of a fisheye), pixels.
-        axis_px: Column and row of the optical axis, pixels.
-        size_px: Width and height of the image, pixels.
+    Focal lengths (or scales, of a fisheye) and size are horizontal, then vertical, the axis a column and a
+    row. A focal length of 1e-300, for example, is positive and finite, but coordinates computed with it
+    overflow.
     """
     if not all(map(math.isfinite, (*focal_px, *axis_px, *size_px))):
         return f"expected finite intrinsics, found focal {focal_px}, axis {axis_px}, size {size_px}"

@@ -98,8 +98,7 @@ def pose_from_parts(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
 def transform_points(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points (N, 3) transformed by one motion (4, 4), float64."""
     pose = _checked(pose)
-    moved: np.ndarray = np.asarray(points, np.float64) @ pose[:3, :3].T + pose[:3, 3]
-    return moved
+    return np.asarray(points, np.float64) @ pose[:3, :3].T + pose[:3, 3]
 
 
 def _rodrigues_terms(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -144,8 +143,7 @@ def rotation_of(yaw_deg: float, pitch_deg: float, roll_deg: float) -> np.ndarray
     about_x = np.array(
         [[1.0, 0.0, 0.0], [0.0, np.cos(roll), -np.sin(roll)], [0.0, np.sin(roll), np.cos(roll)]]
     )
-    turned: np.ndarray = about_z @ about_y @ about_x
-    return turned
+    return about_z @ about_y @ about_x
 
 
 def pose_of_angles(

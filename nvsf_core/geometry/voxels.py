@@ -77,10 +77,7 @@ def occupied_bits(cells: np.ndarray) -> np.ndarray:
 
 
 def index_points(points_m: np.ndarray, voxel_m: float) -> tuple[VoxelIndex, np.ndarray]:
-    """Build the index over points (n, 3), scene-local metres, and find the voxel of each point.
-
-    Returns:
-        The index, and (n,) int32 voxel numbers.
+    """The index over points (n, 3), scene-local metres, and the number (n,) int32 of each point's voxel.
 
     Raises:
         DataError: There are no points, one is not finite, or their box would need more than a gigabyte of

@@ -9,9 +9,4 @@ os.environ.setdefault("NUMBA_THREADING_LAYER_PRIORITY", "omp tbb workqueue")
 # Threads of OpenMP that wait would spin, and take the time of whatever else runs.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-from nvsf_core.kernels.cache import COMPILED
-from nvsf_core.kernels.encodings.backend import Backend
-from nvsf_core.kernels.encodings.hash_grid import GridLayout, hash_grid_encode
-from nvsf_core.kernels.encodings.planes import planes_sample
-
-__all__ = ["COMPILED", "Backend", "GridLayout", "hash_grid_encode", "planes_sample"]
+from nvsf_core.kernels.cache import COMPILED as COMPILED

@@ -121,7 +121,7 @@ class _Composite(torch.autograd.Function):
         surface_hit_prior: Tensor, hit_prior: Tensor, backend: Backend,
     ) -> tuple[Tensor, ...]:  # fmt: skip
         given = (first, logit, range_m, features, facts, surface_hit_prior, hit_prior)
-        found = _composite_by_triton(*given) if backend == "triton" else _by_numba(_forward, *given)
+        found = _triton().forward(*given) if backend == "triton" else _by_numba(_forward, *given)
         ctx.save_for_backward(first, logit, range_m, features, facts, *found[:2])
         ctx.backend = backend
         ctx.mark_non_differentiable(*found[2:])
@@ -130,7 +130,7 @@ class _Composite(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         given = (*ctx.saved_tensors, *grads[:2])
-        found = _adjoint_by_triton(*given) if ctx.backend == "triton" else _by_numba(_adjoint, *given)
+        found = _triton().adjoint(*given) if ctx.backend == "triton" else _by_numba(_adjoint, *given)
         return (*found, None, None, None, None, None)
 
 
@@ -139,16 +139,11 @@ def _by_numba(kernel: Callable[..., tuple[np.ndarray, ...]], *given: Tensor) -> 
     return tuple(torch.from_numpy(array).to(given[0].device) for array in found)
 
 
-def _composite_by_triton(*given: Tensor) -> tuple[Tensor, ...]:
-    from nvsf_core.kernels.composite_triton import forward
+def _triton() -> Any:
+    """The kernels for CUDA, imported where they are used: not every machine has Triton."""
+    from nvsf_core.kernels import composite_triton
 
-    return forward(*given)
-
-
-def _adjoint_by_triton(*given: Tensor) -> tuple[Tensor, ...]:
-    from nvsf_core.kernels.composite_triton import adjoint
-
-    return adjoint(*given)
+    return composite_triton
 
 
 # Wide: seven columns of the same rays and surfaces; the last is for tests.
@@ -176,8 +171,7 @@ def composite_rays(
         mean of those surfaces where they decide where the ray ends, else `hit_prior`; and (n,) bool, whether
         they do.
     """
-    found: tuple[Tensor, Tensor, Tensor, Tensor, Tensor] = _Composite.apply(  # type: ignore[no-untyped-call]
+    return _Composite.apply(  # type: ignore[no-untyped-call]
         logit, range_m, features, facts, first, surface_hit_prior, hit_prior,
         backend or ("triton" if choose_backend(logit, features) == "triton" else "numba"),
     )  # fmt: skip
-    return found

@@ -18,8 +18,6 @@ from torch import Tensor
 from nvsf_core.kernels import composite
 from nvsf_core.kernels.encodings.hash_grid_triton import add
 
-__all__ = ["adjoint", "forward"]
-
 _BLOCK = 64
 _MEANS = tl.constexpr(composite.N_MEANS)
 _UNIT_M = tl.constexpr(composite.RANGE_UNIT_M)

@@ -36,10 +36,7 @@ def count_passes(
         (2, v) int32: rays that left a voxel before their end and met its returns, and of these the rays that
         met them within their extent, all of them with (0, 6).
     """
-    counted: np.ndarray = _count_passes(
-        origins, directions, stops_m, grid, means, normals, precisions, get_num_threads()
-    )
-    return counted
+    return _count_passes(origins, directions, stops_m, grid, means, normals, precisions, get_num_threads())
 
 
 @njit(parallel=True, cache=True, nogil=True)

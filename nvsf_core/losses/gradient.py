@@ -55,18 +55,23 @@ def gradient_loss(
     return along_x**2 * mask_x + along_y**2 * mask_y
 
 
-def double_gradient_mask(range_m: Tensor, threshold_m: float) -> tuple[Tensor, Tensor]:
-    """M^(2) of eq. 2 of the paper: where the absolute gradient hardly changes, ||g|[k] - |g|[k + 1]| < tau.
+def gradient_mask(
+    range_m: Tensor, kind: Literal["double", "single"], threshold_m: float
+) -> tuple[Tensor, Tensor]:
+    """Where surfaces are smooth, by g[k] = D[k] - D[k + 1]; a pixel without a return never passes.
 
-    g[k] = D[k] - D[k + 1]. The last g of a row or column is repeated, and so is the last of its changes (as
-    in the authors' code), so that the last two pixels of each always pass. A pixel without a return never
-    passes; its neighbour can.
+    "single": the range hardly changes, |g| < tau. Source: LiDAR-NeRF, with tau = 0.01 m.
 
+    "double": M^(2) of eq. 2 of the paper, the absolute gradient hardly changes, ||g|[k] - |g|[k + 1]| < tau.
     On a plane seen at a grazing angle the gradient is large, but its change is small: the pixel passes,
     where |g| < tau would fail. A single spike passes too: its two gradients differ in sign only.
 
+    The last g of a row or column is repeated, and so is the last of its changes (as in the authors' code), so
+    that the last two pixels of each always pass.
+
     Args:
         range_m: (..., H, W) recorded ranges, 0 = no return.
+        kind: Which of the two.
         threshold_m: tau, above 0.
 
     Returns:
@@ -77,27 +82,14 @@ def double_gradient_mask(range_m: Tensor, threshold_m: float) -> tuple[Tensor, T
         RecipeError: The threshold is not above 0.
         ShapeError: Fewer than two axes.
     """
-    along_x, along_y = (
-        _differences(gradient.abs()).abs() < threshold_m for gradient in _gradients(range_m, threshold_m)
-    )
-    return _on_hits(along_x, along_y, range_m)
-
-
-def single_gradient_mask(range_m: Tensor, threshold_m: float) -> tuple[Tensor, Tensor]:
-    """Where the range hardly changes: |D[k] - D[k + 1]| < tau. Source: LiDAR-NeRF, with tau = 0.01 m.
-
-    Arguments, results and errors as in `double_gradient_mask`.
-    """
-    along_x, along_y = (gradient.abs() < threshold_m for gradient in _gradients(range_m, threshold_m))
-    return _on_hits(along_x, along_y, range_m)
-
-
-def gradient_mask(
-    range_m: Tensor, kind: Literal["double", "single"], threshold_m: float
-) -> tuple[Tensor, Tensor]:
-    """`double_gradient_mask` or `single_gradient_mask` of ranges (..., H, W), as a recipe names it."""
-    chosen = double_gradient_mask if kind == "double" else single_gradient_mask
-    return chosen(range_m, threshold_m)
+    if not threshold_m > 0.0:
+        raise RecipeError(f"gradient mask: expected a threshold above 0 m, found {threshold_m}")
+    if range_m.ndim < 2:
+        raise ShapeError(f"gradient mask: expected (..., H, W), found {tuple(range_m.shape)}")
+    gradients = _differences(range_m), _differences(range_m.transpose(-1, -2))
+    changes = (_differences(g.abs()) if kind == "double" else g for g in gradients)
+    along_x, along_y = (change.abs() < threshold_m for change in changes)
+    return along_x & (range_m > 0), along_y.transpose(-1, -2) & (range_m > 0)
 
 
 def mask_coverage(mask: Tensor, range_m: Tensor) -> list[tuple[int, int]]:
@@ -110,23 +102,9 @@ def mask_coverage(mask: Tensor, range_m: Tensor) -> list[tuple[int, int]]:
     return [(int(band.sum()), int((band & mask).sum())) for band in bands]
 
 
-def _gradients(range_m: Tensor, threshold_m: float) -> tuple[Tensor, Tensor]:
-    """Gradients along x (..., H, W) and along y (..., W, H); NaN along an axis of one pixel."""
-    if not threshold_m > 0.0:
-        raise RecipeError(f"gradient mask: expected a threshold above 0 m, found {threshold_m}")
-    if range_m.ndim < 2:
-        raise ShapeError(f"gradient mask: expected (..., H, W), found {tuple(range_m.shape)}")
-    return _differences(range_m), _differences(range_m.transpose(-1, -2))
-
-
 def _differences(values: Tensor) -> Tensor:
     """Each value minus the next along the last axis, the last one repeated; NaN if there is only one."""
     if values.shape[-1] == 1:
         return values * torch.nan
     found = values[..., :-1] - values[..., 1:]
     return torch.cat([found, found[..., -1:]], dim=-1)
-
-
-def _on_hits(along_x: Tensor, along_y: Tensor, range_m: Tensor) -> tuple[Tensor, Tensor]:
-    hit = range_m > 0
-    return along_x & hit, along_y.transpose(-1, -2) & hit

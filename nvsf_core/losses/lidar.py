@@ -21,12 +21,8 @@ def depth_loss(weights: Tensor, range_m: Tensor, true_range_m: Tensor) -> Tensor
 def absolute_range_error(rendered_range: Tensor, true_range: Tensor) -> Tensor:
     """|D^ - D| (r,), in the unit of both; 0 for dropped rays. Eq. 6 of the paper (L_depth), to be summed.
 
-    The rendered range of a dropped ray is multiplied by 0, as in the authors' code: drops are learned by
-    the hit probability.
-
-    Args:
-        rendered_range: (r,) expected range; scaled units in the `paper` recipe.
-        true_range: (r,) recorded, 0 = no return.
+    The rendered range (r,) of a dropped ray, recorded as 0, is multiplied by 0, as in the authors' code:
+    drops are learned by the hit probability. Scaled units in the `paper` recipe.
     """
     return (rendered_range * (true_range > 0) - true_range).abs()
 

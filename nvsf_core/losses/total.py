@@ -33,15 +33,10 @@ class LossBreakdown:
 def total_loss(
     terms: dict[str, Tensor], weights: dict[str, float], sums: Collection[str] = ()
 ) -> LossBreakdown:
-    """Sum over terms of weight times mean, or times sum for those in `sums`.
+    """Sum over unreduced terms of weight times mean, or times sum for those in `sums`.
 
-    An empty term (no ray of its kind) is left out; without any the total is 0. Eq. 10 of the paper:
-    lambda_1 L_flow + ... + lambda_6 L_rgb, with sums over rays (`PaperLosses`).
-
-    Args:
-        terms: Unreduced, any shape.
-        weights: Weight of each term; others are ignored.
-        sums: Terms that are summed instead of averaged.
+    An empty term (no ray of its kind) is left out; without any the total is 0. Eq. 10 of the paper: lambda_1
+    L_flow + ... + lambda_6 L_rgb, with sums over rays (`PaperLosses`). Weights of other terms are ignored.
 
     Raises:
         DivergedError: A term is NaN or infinite; names it.

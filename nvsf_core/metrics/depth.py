@@ -47,13 +47,10 @@ def ray_depth_rmse(predicted_m: np.ndarray, truth_m: np.ndarray) -> Measure:
 def published_depth_rmse(predicted_m: np.ndarray, truth_z_m: np.ndarray) -> Measure:
     """`image_depth_rmse_m` as NVSF publishes it: the mean includes all pixels without a return.
 
-    The rendered ray length, set to 0 where there is no return, is compared with z, over all pixels, both
-    capped at 80 m. So the error shrinks with the share of pixels that have a return, and a perfect model has
-    an error, because ray length is z divided by the cosine of the angle to the optical axis.
-
-    Args:
-        predicted_m: (H, W) ray lengths, metres; inf = no depth.
-        truth_z_m: (H, W) z from `lidar_depth_images`, 0 = no return.
+    The rendered ray length (H, W), inf = no depth, set to 0 where there is no return, is compared with z of
+    `lidar_depth_images`, over all pixels, both capped at 80 m. So the error shrinks with the share of pixels
+    that have a return, and a perfect model has an error, because ray length is z divided by the cosine of the
+    angle to the optical axis.
     """
     same_shape(predicted_m, truth_z_m)
     predicted = np.where(truth_z_m > 0.0, np.minimum(predicted_m.astype(np.float64), CAP_M), 0.0)

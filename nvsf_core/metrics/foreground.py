@@ -18,7 +18,7 @@ import numpy as np
 
 from nvsf_core.geometry.boxes import inside_any
 from nvsf_core.metrics.elementwise import psnr, rmse
-from nvsf_core.metrics.hit import hit_region_metrics
+from nvsf_core.metrics.hit import hit_cell_metrics
 from nvsf_core.metrics.image import image_metrics
 from nvsf_core.metrics.lpips import Lpips
 from nvsf_core.metrics.measure import Measure, absent
@@ -45,15 +45,10 @@ NO_PIXEL = "no moving object's box lies in front of this camera"
 
 
 def cut_pano(image: PanoImage, pano: LinearPano, boxes_to_lidar: np.ndarray, region: str) -> PanoImage:
-    """A pano with 0 in all pixels whose point is not in the region.
+    """A pano with 0 in all pixels whose point is not in the region, `foreground` or `background`.
 
-    Points are those of the pixels with hit > 0.5; other pixels are background.
-
-    Args:
-        image: Recorded or predicted pano.
-        pano: Its grid.
-        boxes_to_lidar: (B, 4, 4) unit cube to the sensor's frame, of the moving objects.
-        region: `foreground` or `background`.
+    Points are those of the pixels with hit > 0.5; other pixels are background. Boxes (B, 4, 4) of moving
+    objects lead from the unit cube to the sensor's frame.
     """
     inside = _pixels_inside(_returned_m(image), pano, boxes_to_lidar)
     keep = inside if region == FOREGROUND else ~inside
@@ -93,7 +88,8 @@ def lidar4d_regions(
         if region == FOREGROUND and len(boxes_to_lidar) == 0:
             measures = dict.fromkeys(measures, absent(NO_BOX))
         elif not (cut.range_m > 0.0).any():
-            measures = _explained(measures, NO_RETURN)
+            # An empty truth is not the prediction's fault.
+            measures = {name: absent(NO_RETURN) if m.reason else m for name, m in measures.items()}
         found[region] = measures if region == FOREGROUND else _without_lpips(measures)
     return found
 
@@ -132,8 +128,10 @@ def masked_regions(
     truth_shell = inside_any(near_truth.points_m, boxes_to_lidar, GROWN_M)
 
     def cells(truth_mask: np.ndarray, *, complement: bool) -> Mapping[str, Measure]:
-        sides = (near_predicted.points_m, near_predicted.laser, near_truth.points_m, near_truth.laser)
-        return hit_region_metrics(*sides, hit_shape, predicted_in, truth_mask, complement=complement)
+        region = (predicted_in, truth_mask)
+        return hit_cell_metrics(
+            near_predicted.side, near_truth.side, hit_shape, region=region, complement=complement
+        )
 
     foreground = {
         **_along_rays(rendered, truth_rays, rays & inside),
@@ -155,15 +153,10 @@ def masked_range_regions(
 ) -> dict[str, Mapping[str, Measure]]:
     """Foreground and background of a range image in the protocol `masked`: `range_rmse_m`, of one frame.
 
-    As in `lidar4d`, the prediction is masked by hit > 0.5, both sides are clamped to [1e-6, 80] m, and
-    a pixel that is empty on one side only counts as 0 there. Foreground: pixels whose recorded point is in a
-    box, or whose simulated point is in an enlarged box. Background: where neither is in an enlarged box.
-
-    Args:
-        predicted: The model's pano, or the projection of its scan.
-        truth: Projection of the recorded scan.
-        pano: Their grid.
-        boxes_to_lidar: (B, 4, 4) unit cube to the sensor's frame, of the moving objects.
+    As in `lidar4d`, the prediction, the model's pano or the projection of its scan, is masked by hit > 0.5,
+    both sides are clamped to [1e-6, 80] m, and a pixel that is empty on one side only counts as 0 there.
+    Foreground: pixels whose recorded point is in a box (B, 4, 4), unit cube to the sensor's frame, or whose
+    simulated point is in an enlarged box. Background: where neither is in an enlarged box.
     """
     predicted_m, truth_m = _returned_m(predicted), truth.range_m
     truth_in = _pixels_inside(truth_m, pano, boxes_to_lidar)
@@ -232,8 +225,7 @@ def masked_image_regions(
 
 def _returned_m(image: PanoImage) -> np.ndarray:
     """(H, W) range where the hit probability is above 0.5, else 0."""
-    masked_m: np.ndarray = np.where(image.hit > 0.5, image.range_m, 0.0)
-    return masked_m
+    return np.where(image.hit > 0.5, image.range_m, 0.0)
 
 
 def _pixels_inside(
@@ -251,11 +243,6 @@ def _along_rays(rendered: RenderedRays, truth: RenderedRays, which: np.ndarray) 
         **ray_range_metrics(rendered.range_m[which], truth.range_m[which]),
         **ray_intensity_metrics(rendered.intensity[which], truth.intensity[which], returned),
     }
-
-
-def _explained(measures: Mapping[str, Measure], reason: str) -> dict[str, Measure]:
-    """Undefined measures as absent ones: an empty truth is not the prediction's fault."""
-    return {name: absent(reason) if m.reason else m for name, m in measures.items()}
 
 
 def _without_lpips(measures: Mapping[str, Measure]) -> dict[str, Measure]:

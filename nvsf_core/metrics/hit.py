@@ -9,6 +9,8 @@ from nvsf_core.metrics.measure import Measure, fault, undefined
 
 _MOST_COLUMNS, _LEAST_COLUMNS = 2000, 125
 _NAMES = ("hit_accuracy", "hit_f_score")
+Side = tuple[np.ndarray, np.ndarray]
+"""The returns of a scan: points (N, 3) in the sensor's frame, and their lasers (N,)."""
 
 
 def hit_image_metrics(probability: np.ndarray, truth: np.ndarray) -> Mapping[str, Measure]:
@@ -29,79 +31,46 @@ def hit_image_metrics(probability: np.ndarray, truth: np.ndarray) -> Mapping[str
 
 
 def hit_cell_metrics(
-    predicted_m: np.ndarray,
-    predicted_laser: np.ndarray,
-    truth_m: np.ndarray,
-    truth_laser: np.ndarray,
+    predicted: Side,
+    truth: Side,
     shape: tuple[int, int],
+    *,
+    region: tuple[np.ndarray, np.ndarray] | None = None,
+    complement: bool = False,
 ) -> Mapping[str, Measure]:
     """`hit_accuracy` and `hit_f_score` on a grid of lasers and azimuths, see `hit_cells`.
 
     Both are undefined if a return's laser is unknown (-1) or a point is not finite.
 
     Args:
-        predicted_m: (N, 3) points of the simulated scan, sensor frame.
-        predicted_laser: (N,) their lasers.
-        truth_m: (M, 3) points of the recorded scan, sensor frame.
-        truth_laser: (M,) their lasers.
+        predicted: The whole simulated scan.
+        truth: The whole recorded scan.
         shape: Lasers and columns of the grid, see `hit_columns`.
+        region: Which returns (N,), (M,) bool of either lie in a region: only the cells with one of them are
+            compared; None = all cells.
+        complement: True = all other cells instead.
     """
-    nowhere = (np.zeros(len(predicted_m), dtype=bool), np.zeros(len(truth_m), dtype=bool))
-    sides = (predicted_m, predicted_laser, truth_m, truth_laser)
-    return hit_region_metrics(*sides, shape, *nowhere, complement=True)
-
-
-# Wide: the columns of two scans, and which of their rows belong to the region.
-def hit_region_metrics(
-    predicted_m: np.ndarray,
-    predicted_laser: np.ndarray,
-    truth_m: np.ndarray,
-    truth_laser: np.ndarray,
-    shape: tuple[int, int],
-    predicted_in: np.ndarray,
-    truth_in: np.ndarray,
-    *,
-    complement: bool,
-) -> Mapping[str, Measure]:
-    """`hit_cell_metrics` on the cells with a return of a region, or on all others.
-
-    Args:
-        predicted_m: (N, 3) points of the whole simulated scan, sensor frame.
-        predicted_laser: (N,) their lasers.
-        truth_m: (M, 3) points of the whole recorded scan, sensor frame.
-        truth_laser: (M,) their lasers.
-        shape: Lasers and columns of the grid, see `hit_columns`.
-        predicted_in: (N,) bool, simulated returns in the region.
-        truth_in: (M,) bool, recorded returns in the region.
-        complement: False = cells with a return of the region on either side; True = all other cells.
-    """
-    bad = _no_cells(predicted_m, predicted_laser, truth_m, truth_laser, shape)
+    bad = _no_cells(predicted, truth, shape)
     if bad is not None:
         return dict.fromkeys(_NAMES, bad)
-    filled = hit_cells(predicted_m[predicted_in], predicted_laser[predicted_in], shape)
-    filled |= hit_cells(truth_m[truth_in], truth_laser[truth_in], shape)
-    where = ~filled if complement else filled
+    where = np.ones(shape, dtype=bool)
+    if region is not None:
+        of_predicted, of_truth = (
+            hit_cells(points_m[chosen], laser[chosen], shape)
+            for (points_m, laser), chosen in zip((predicted, truth), region, strict=True)
+        )
+        where = (of_predicted | of_truth) ^ complement
     if not where.any():
         return dict.fromkeys(_NAMES, undefined("no return of either side lies in the region"))
-    return _agreement(
-        hit_cells(predicted_m, predicted_laser, shape)[where],
-        hit_cells(truth_m, truth_laser, shape)[where],
-    )
+    return _agreement(hit_cells(*predicted, shape)[where], hit_cells(*truth, shape)[where])
 
 
-def _no_cells(
-    predicted_m: np.ndarray,
-    predicted_laser: np.ndarray,
-    truth_m: np.ndarray,
-    truth_laser: np.ndarray,
-    shape: tuple[int, int],
-) -> Measure | None:
+def _no_cells(predicted: Side, truth: Side, shape: tuple[int, int]) -> Measure | None:
     """The undefined measure if returns cannot be assigned to cells; None if they can."""
-    unknown = int(np.count_nonzero(truth_laser < 0) + np.count_nonzero(predicted_laser < 0))
+    unknown = int(np.count_nonzero(truth[1] < 0) + np.count_nonzero(predicted[1] < 0))
     if unknown or shape[0] < 1:
         return undefined(f"the laser of {unknown} returns is unknown")
-    sides = (("predicted", predicted_m, predicted_laser), ("true", truth_m, truth_laser))
-    for side, points_m, laser in sides:
+    for side, (points_m, laser) in (("predicted", predicted), ("true", truth)):
         if laser.size and int(laser.max()) >= shape[0]:
             return undefined(f"{side} laser {int(laser.max())}, but the sensor has {shape[0]}")
         broken = int(np.count_nonzero(~np.isfinite(points_m).all(axis=1)))

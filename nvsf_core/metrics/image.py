@@ -21,14 +21,9 @@ def image_metrics(
 ) -> Mapping[str, Measure]:
     """PSNR (peak 1), SSIM (7x7 uniform, mean of channels) and LPIPS over the recorded image's pixels.
 
-    Pixels that the prediction does not cover are black and count. Pixels that the undistorted recording does
-    not cover are in no PSNR and no SSIM window, and are black on both sides for LPIPS.
-
-    Args:
-        predicted_rgb: (H, W, 3) uint8.
-        truth_rgb: (H, W, 3) uint8.
-        valid: (H, W) bool, pixels that the recording covers.
-        lpips: The network, or None where its weights are absent.
+    Images are (H, W, 3) uint8. Pixels that the prediction does not cover are black and count. Pixels that the
+    undistorted recording does not cover, not `valid` (H, W) bool, are in no PSNR and no SSIM window, and are
+    black on both sides for LPIPS, which is absent if `lpips` is None.
 
     Raises:
         ShapeError: The shapes differ.
@@ -51,12 +46,7 @@ def image_metrics(
 def image_part_metrics(
     predicted_rgb: np.ndarray, truth_rgb: np.ndarray, chosen: np.ndarray
 ) -> Mapping[str, Measure]:
-    """PSNR (peak 1) over some pixels of an image; absent without one.
-
-    Args:
-        predicted_rgb: (H, W, 3) uint8.
-        truth_rgb: (H, W, 3) uint8.
-        chosen: (H, W) bool.
+    """PSNR (peak 1) over the `chosen` (H, W) bool pixels of an image (H, W, 3) uint8; absent without one.
 
     Raises:
         ShapeError: The shapes differ.

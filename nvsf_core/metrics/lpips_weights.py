@@ -20,10 +20,7 @@ _SHIFT, _SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 def make_lpips_weights(heads: Path, backbone: Path, made: Path) -> None:
     """Write `made`, a safetensors file that `NVSF_LPIPS_WEIGHTS` can name.
 
-    Args:
-        heads: `HEADS_PLACE` of the package `lpips`.
-        backbone: What `BACKBONE_URL` names.
-        made: The file to write.
+    Of `HEADS_PLACE` of the package `lpips`, and what `BACKBONE_URL` names.
 
     Raises:
         StoreError: A file holds other numbers than version 0.1's; nothing is written.

@@ -104,8 +104,7 @@ def intensity_spread(intensity: np.ndarray) -> np.ndarray:
         broken = int(np.count_nonzero(~np.isfinite(intensity)))
         raise DataError(f"intensities: expected finite ones, found {intensity.size}, {broken} of them not")
     level = np.rint(np.clip(intensity, 0.0, 1.0) * _LEVELS).astype(np.int64)
-    total: np.ndarray = np.cumsum(np.bincount(level, minlength=_LEVELS + 1)) / float(intensity.size)
-    return total
+    return np.cumsum(np.bincount(level, minlength=_LEVELS + 1)) / float(intensity.size)
 
 
 def spread_limit(spread: np.ndarray) -> float:
@@ -167,11 +166,7 @@ class ImageNorms:
 
 
 def image_norms(images: np.ndarray, valid: np.ndarray) -> ImageNorms:
-    """The norms of a camera's training images.
-
-    Args:
-        images: (n, H, W, 3) uint8, n > 0.
-        valid: (H, W) bool, pixels that the recording covers.
+    """The norms of a camera's training images (n, H, W, 3) uint8, of the pixels `valid` (H, W) bool.
 
     Raises:
         DataError: There is no image, or no valid pixel.
@@ -195,5 +190,4 @@ def image_norms(images: np.ndarray, valid: np.ndarray) -> ImageNorms:
 
 def _greys(image: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Grey values (m,), 0..1, of an image's m `seen` pixels: the mean of the three colours."""
-    grey: np.ndarray = image[seen].mean(axis=-1) / _TOP
-    return grey
+    return image[seen].mean(axis=-1) / _TOP

@@ -30,13 +30,9 @@ def point_cloud_metrics(predicted_m: np.ndarray, truth_m: np.ndarray) -> Mapping
 def point_cloud_part_metrics(
     predicted_m: np.ndarray, truth_m: np.ndarray, in_predicted: np.ndarray, in_truth: np.ndarray
 ) -> Mapping[str, Measure]:
-    """`point_cloud_metrics` of a part of two clouds, whose neighbours are sought in the whole other cloud.
+    """`point_cloud_metrics` of a part (N,), (M,) bool of two clouds (N, 3), (M, 3).
 
-    Args:
-        predicted_m: (N, 3), in the frame of the truth.
-        truth_m: (M, 3).
-        in_predicted: (N,) bool, the part's points.
-        in_truth: (M,) bool.
+    Neighbours are sought in the whole other cloud.
     """
     sizes = int(np.count_nonzero(in_predicted)), int(np.count_nonzero(in_truth))
     n_points = sum(sizes)
@@ -61,5 +57,4 @@ def point_cloud_part_metrics(
 def _nearest_m2(from_m: np.ndarray, to_m: np.ndarray) -> np.ndarray:
     """Squared distance (N,) float64 of each point of one cloud to the nearest of the other."""
     distance_m, _ = cKDTree(to_m.astype(np.float64)).query(from_m.astype(np.float64))
-    squared: np.ndarray = np.square(distance_m)
-    return squared
+    return np.square(distance_m)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nvsf_core.metrics.hit import hit_cell_metrics, hit_image_metrics
+from nvsf_core.metrics.hit import Side, hit_cell_metrics, hit_image_metrics
 from nvsf_core.metrics.lpips import LPIPS_ALEX, Lpips, lpips_measure
 from nvsf_core.metrics.measure import Measure
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
@@ -53,6 +53,11 @@ class Scan:
     """(N,) 0..1."""
     laser: np.ndarray
     """(N,) index of the laser, -1 = unknown."""
+
+    @property
+    def side(self) -> Side:
+        """What its hits are found from."""
+        return self.points_m, self.laser
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,9 +125,7 @@ def raw(
     return {
         **ray_range_metrics(rendered.range_m[counted], truth_rays.range_m[counted]),
         **ray_intensity_metrics(rendered.intensity[counted], truth_rays.intensity[counted], returned),
-        **hit_cell_metrics(
-            near_predicted.points_m, near_predicted.laser, near_truth.points_m, near_truth.laser, hit_shape
-        ),
+        **hit_cell_metrics(near_predicted.side, near_truth.side, hit_shape),
         **point_cloud_metrics(near_predicted.points_m, near_truth.points_m),
     }
 

@@ -14,8 +14,7 @@ CLAMP_M = (1e-6, 80.0)
 
 def clamped_range_m(range_m: np.ndarray) -> np.ndarray:
     """A range image (H, W), clamped to `CLAMP_M`, as a float64 copy; NaN stays NaN."""
-    clamped: np.ndarray = np.clip(range_m.astype(np.float64), *CLAMP_M)
-    return clamped
+    return np.clip(range_m.astype(np.float64), *CLAMP_M)
 
 
 def range_image_metrics(predicted_m: np.ndarray, truth_m: np.ndarray) -> Mapping[str, Measure]:
@@ -33,14 +32,11 @@ def range_image_metrics(predicted_m: np.ndarray, truth_m: np.ndarray) -> Mapping
 
 
 def ray_range_metrics(predicted_m: np.ndarray, truth_m: np.ndarray) -> Mapping[str, Measure]:
-    """Errors of range along recorded rays; the error of a ray without a predicted return is infinite.
+    """Errors of range (R,) along recorded rays; that of a ray without a predicted return (inf) is infinite.
 
     `range_abs_error_median_m`, `range_abs_error_p90_m` (the smallest error that at least 90 % of the rays do
-    not exceed), and `range_missing`, the share of rays without a predicted return.
-
-    Args:
-        predicted_m: (R,) predicted ranges, inf = no return.
-        truth_m: (R,) recorded ranges, finite.
+    not exceed), and `range_missing`, the share of rays without a predicted return. Recorded ranges are
+    finite.
     """
     same_shape(predicted_m, truth_m)
     names = ("range_abs_error_median_m", "range_abs_error_p90_m", "range_missing")
@@ -62,8 +58,7 @@ CLAMP = (1e-6, 1.0)
 
 def clamped_intensity(intensity: np.ndarray) -> np.ndarray:
     """An intensity image (H, W), clamped to `CLAMP`, as a float64 copy; NaN stays NaN."""
-    clamped: np.ndarray = np.clip(intensity.astype(np.float64), *CLAMP)
-    return clamped
+    return np.clip(intensity.astype(np.float64), *CLAMP)
 
 
 def intensity_image_metrics(predicted: np.ndarray, truth: np.ndarray) -> Mapping[str, Measure]:

@@ -61,8 +61,7 @@ def _ssim_map(predicted: np.ndarray, truth: np.ndarray, data_range: float) -> np
     covariance = np.clip(covariance, -most, most)
     c1, c2 = (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
     above = (2.0 * mean_p * mean_t + c1) * (2.0 * covariance + c2)
-    similarity: np.ndarray = above / ((mean_p**2 + mean_t**2 + c1) * (var_p + var_t + c2))
-    return similarity
+    return above / ((mean_p**2 + mean_t**2 + c1) * (var_p + var_t + c2))
 
 
 def _windows_inside(shape: tuple[int, ...], valid: np.ndarray | None) -> np.ndarray:

@@ -14,7 +14,8 @@ from torch import Tensor, nn
 
 from nvsf_core._types import Say, Scalar
 from nvsf_core.errors import RecipeError
-from nvsf_core.recipe import Recipe, TrainingSpec
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.residual import TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.training.loop import Save, Step, TrainingState, train
@@ -39,9 +40,7 @@ class ResumedPart:
     """One part of a model, restored from its checkpoint if it has one."""
 
     save: Save
-    """Writes a checkpoint."""
     say: Say
-    """Prints a line of progress."""
     observe: Callable[[TrainingState], None] | None
     """Called with the state after each step, or None."""
 
@@ -93,7 +92,6 @@ class Trained:
     """A trained model of a scene, of any family."""
 
     tensors: dict[str, Tensor]
-    """All weights."""
     curves: dict[str, list[dict[str, float]]]
     """The training curve of each part of the model (a sensor, a phase)."""
     seconds: float

@@ -17,7 +17,7 @@ from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
 from nvsf_core.metrics.range_and_intensity import intensity_image_metrics, range_image_metrics
-from nvsf_core.recipe import EvidenceSpec
+from nvsf_core.recipe.residual import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.rendering.reproject import reproject_rays

@@ -26,7 +26,7 @@ from nvsf_core.evidence.stationary_scans import StationaryScans, find_stationary
 from nvsf_core.evidence.surfels import COARSEST_M, StaticReturns, Surfels, unobserved_beside
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.models.holdout import choose_copying, is_sure, mean_range_error_m
-from nvsf_core.recipe import EvidenceSpec
+from nvsf_core.recipe.residual import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording, Sweeps, training_returns
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import sweep_rays

@@ -28,8 +28,7 @@ class Recipe:
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON values, with the family."""
-        values: dict[str, Any] = json.loads(json.dumps({"family": self.family} | asdict(self)))
-        return values
+        return json.loads(json.dumps({"family": self.family} | asdict(self)))
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> Self:

@@ -191,8 +191,7 @@ def slower(recipe: _Kind, share: float) -> _Kind:
         raise RecipeError(
             f"recipe {recipe.name}: expected a share of its rates from {_LEAST_SHARE:g} to 1, found {share}"
         )
-    slowed: _Kind = replace(_scaled(recipe, share), name=f"{full_name(recipe.name)}{_MARK}{share:g}")
-    return slowed
+    return replace(_scaled(recipe, share), name=f"{full_name(recipe.name)}{_MARK}{share:g}")
 
 
 def full_name(name: str) -> str:

@@ -49,8 +49,7 @@ class Sweeps:
         """(m,) float64 instants of a scan's returns, seconds since the first frame."""
         part = self.returns_of(scan)
         elapsed = self.arrays.get("elapsed", self.arrays["sweep_fraction"])[part]
-        fired_s: np.ndarray = float(self.arrays["time_s"][scan]) + elapsed.astype(np.float64) * self.period_s
-        return fired_s
+        return float(self.arrays["time_s"][scan]) + elapsed.astype(np.float64) * self.period_s
 
     def clock_of(self, scan: int) -> SweepClock:
         """When in a scan's sweep each azimuth was measured."""
@@ -77,8 +76,7 @@ class Sweeps:
         """
         a = self.arrays
         own = a["is_own_vehicle"][chosen] | a["is_mirrored"][chosen]
-        world: np.ndarray = ~own & (a["range_m"][chosen] < self.table.max_range_m)
-        return world
+        return ~own & (a["range_m"][chosen] < self.table.max_range_m)
 
     def even_intensity(self, chosen: slice | np.ndarray) -> np.ndarray:
         """(m,) float32 intensity of chosen returns, divided by their lasers' gains."""
@@ -215,8 +213,7 @@ class RecordedSweeps:
 def ray_ends_m(rays: SweepRays, range_m: np.ndarray) -> np.ndarray:
     """(r, 3) float32, scene-local: where rays of ranges (r,) end; one without an end is looked up at 60 m."""
     reach_m = np.where(np.isfinite(range_m), range_m, _NOWHERE_M)
-    ends_m: np.ndarray = (rays.origin_m + rays.direction * reach_m[:, None]).astype(np.float32)
-    return ends_m
+    return (rays.origin_m + rays.direction * reach_m[:, None]).astype(np.float32)
 
 
 class ScanLookups:

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.recipe import CameraSpec
+from nvsf_core.recipe.residual import CameraSpec
 from nvsf_core.rendering.image_exposure import recorded_at_exposure
 from nvsf_core.rendering.lidar_view import LidarView, MovingPoints
 from nvsf_core.rendering.reproject_camera import nearest_sources

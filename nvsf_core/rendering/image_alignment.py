@@ -54,12 +54,10 @@ class PoseCorrection:
         return np.stack(corrected)
 
     def at(self, pose: np.ndarray, time_s: float, *, leave_out: bool = False) -> np.ndarray:
-        """The corrected pose (4, 4) at any time, from the corrections around it.
+        """The pose (4, 4) at any time, corrected by the corrections around it.
 
-        Args:
-            pose: (4, 4) given pose.
-            time_s: Its time; before the first and after the last image their corrections hold.
-            leave_out: Ignore the correction of the image of exactly that time.
+        Before the first and after the last image their corrections hold. `leave_out`: ignore that of the
+        image of exactly that time.
         """
         used = self.time_s != time_s if leave_out and len(self.time_s) > 1 else np.ones(1, np.bool_)
         time_s = float(np.clip(time_s, self.time_s[0], self.time_s[-1]))

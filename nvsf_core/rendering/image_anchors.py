@@ -38,8 +38,7 @@ def near_images(pose: np.ndarray, image: int) -> list[int]:
 
 def smoothed_grey(rgb: np.ndarray) -> np.ndarray:
     """(h, w) float32: smoothed grey values 0..1 of an image (h, w, 3) of levels 0..255."""
-    grey: np.ndarray = gaussian_filter(rgb.mean(axis=-1, dtype=np.float32) / 255.0, _BLUR_PX, mode="nearest")
-    return grey
+    return gaussian_filter(rgb.mean(axis=-1, dtype=np.float32) / 255.0, _BLUR_PX, mode="nearest")
 
 
 def anchors_of(seen: np.ndarray, pinhole: Pinhole, pose: np.ndarray, returns_m: np.ndarray) -> Anchors:

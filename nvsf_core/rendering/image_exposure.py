@@ -91,8 +91,7 @@ def log_gains(
     places = np.concatenate([row, row]), np.concatenate([first, second])
     difference = coo_array((sign, places), (len(pairs), count)).tocsc()
     normal = difference.T @ difference / _PAIR_NOISE**2 + eye_array(count) / _SPREAD**2
-    gains: np.ndarray = spsolve(normal.tocsc(), difference.T @ np.array(ratios) / _PAIR_NOISE**2)
-    return gains
+    return spsolve(normal.tocsc(), difference.T @ np.array(ratios) / _PAIR_NOISE**2)
 
 
 def _log_ratio(anchors: Anchors, motion: np.ndarray, seen: np.ndarray, pinhole: Pinhole) -> float | None:

@@ -44,14 +44,7 @@ class LidarView:
 def lidar_view(
     pose: np.ndarray, pinhole: Pinhole, static_m: np.ndarray, moving: Sequence[MovingPoints]
 ) -> LidarView:
-    """Project returns into a view.
-
-    Args:
-        pose: (4, 4) camera to scene-local frame.
-        pinhole: Intrinsics of the view.
-        static_m: (m, 3) float32 static points, scene-local, metres.
-        moving: Moving objects that may be visible.
-    """
+    """What static returns (m, 3), scene-local metres, and moving objects show in a view at `pose` (4, 4)."""
     clouds = [static_m, *(each.points_m for each in moving)]
     points_m = np.concatenate(clouds)
     sparse = splat_points(pose, pinhole, points_m)

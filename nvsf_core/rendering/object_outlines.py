@@ -63,14 +63,9 @@ def outlined(
 ) -> tuple[np.ndarray, np.ndarray]:
     """A recorded image's depths and moving objects: what moves with an object, and only that, is part of it.
 
-    Args:
-        inverse: (H, W) float32 inverse depths of the image, 1/m, positive.
-        mover: (H, W) int16: number of the moving object that returns show at a pixel, 0 = none.
-        moving: The objects that are there at its instant.
-        compared: The image and the others.
-
-    Returns:
-        (H, W) float32, 1/m, and (H, W) int16: as given, but for what was found to be an object's.
+    Of inverse depths (H, W) float32, positive, 1/m, and numbers (H, W) int16 of the moving objects that
+    returns show, 0 = none; `moving` are those of its instant. Both are returned as given, but for what was
+    found to be an object's.
     """
     inverse, mover = inverse.copy(), mover.copy()
     for each in moving:
@@ -97,7 +92,6 @@ class _OneObject:
     """A moving object, and the h x w pixels around it in the image that is asked about."""
 
     number: int
-    """The object's."""
     motions: np.ndarray
     """(2, j, 4, 4) of what is static, and of the object, see `image_motions`."""
     rays: Tensor
@@ -179,15 +173,10 @@ def _is_rather(
 def _difference(
     inverse: np.ndarray, one: _OneObject, *, moves: bool, unseen: np.float32 = _EXPECTED
 ) -> np.ndarray:
-    """How much other images differ from the image at its pixels' depths, (h, w) float32.
+    """How much (h, w) float32 other images differ from the image at its pixels' inverse depths (h, w), 1/m.
 
-    At most `_LARGEST`; `unseen` where none of them shows the point.
-
-    Args:
-        inverse: (h, w) float32, 1/m; 0 = not asked.
-        one: The object and its pixels.
-        moves: Whether the pixels move as the object does, or are static.
-        unseen: See above.
+    At most `_LARGEST`; `unseen` where none of them shows the point; 0 = not asked. Pixels move as the object
+    does, or are static.
     """
     motions = one.motions if moves else one.motions[:1]
     others = np.array(one.compared.others, np.int64)

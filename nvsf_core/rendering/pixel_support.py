@@ -23,15 +23,11 @@ _HOLE_PX = 5
 
 
 def pixel_support(view: CameraView, inverse: Tensor, shown: Tensor) -> Tensor:
-    """(H, W) uint8 class of `Support` of each pixel of a view.
+    """(H, W) uint8 class of `Support` of each pixel of a view, whose images have depths.
 
-    Guessed is where no image shows anything; seen is what one of the view's sources shows from about
-    the view's direction and distance; all else is extrapolated.
-
-    Args:
-        view: The view; its images have depths.
-        inverse: (H, W) inverse depth of what is shown, 1/m.
-        shown: (k, H, W) bool, whether each of the view's sources shows that.
+    Guessed is where no image shows anything; seen is what one of the view's k sources shows, `shown` (k, H,
+    W) bool, from about the view's direction and distance; all else is extrapolated. `inverse` (H, W), 1/m, is
+    of what is shown.
     """
     assert view.surfaces is not None
     rays = plane_rays(view.pinhole)
@@ -76,13 +72,8 @@ def _shows_surface(
 ) -> Tensor:
     """(k, h, w) bool: images whose own depth maps have a surface at the first point of each pixel.
 
-    That is more than not to hide a point: where an image's map knows nothing, it may show anything.
-
-    Args:
-        images: Which k of all j are asked.
-        maps: (j, H, W) inverse depths, 1/m; 0 = unknown, negative = unconfirmed, which counts, too.
-        points: What is asked about.
-        pinhole: Intrinsics of the images.
+    That is more than not to hide a point: where an image's map knows nothing, it may show anything. Of the
+    maps (j, H, W) of all images, 1/m, 0 = unknown, negative = unconfirmed, which counts, too.
     """
     found = []
     for number, image in enumerate(images.chosen):
@@ -120,19 +111,12 @@ def _grown(image: Tensor) -> Tensor:
 def shown_by_others(
     others: Sources | None, points: SeenPoints, pinhole: Pinhole, missing: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Mean colours of pixels in images that are no sources, nearer ones counting more.
+    """Mean colours (3, m) of pixels in images that are no sources, nearer ones counting more.
 
-    Few sources are chosen, those that show most of a view; what a moving object hides in all of them,
-    others may show. They must have the very surface in their own depth maps.
-
-    Args:
-        others: Images besides the view's sources; None = there are none.
-        points: Depths of all pixels (h, w), of which the first is looked up.
-        pinhole: Intrinsics of the images.
-        missing: (h, w) bool: the m pixels that are looked up.
-
-    Returns:
-        Colours (3, m), and whether any image shows them (m,) bool; colours of others mean nothing.
+    Of the m `missing` (h, w) bool pixels. Few sources are chosen, those that show most of a view; what a
+    moving object hides in all of them, others may show. They must have the very surface, the first of each
+    pixel's points, in their own depth maps. And whether any image shows them (m,) bool; colours of others
+    mean nothing.
     """
     count = int(missing.sum())
     if others is None or count == 0:

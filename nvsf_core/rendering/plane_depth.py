@@ -7,7 +7,7 @@ from torch.nn import functional
 
 from nvsf_core.fields.depth_network import DepthNetwork
 from nvsf_core.kernels.images.plane_features import describe_planes
-from nvsf_core.recipe import CameraSpec
+from nvsf_core.recipe.residual import CameraSpec
 from nvsf_core.rendering.camera_view import WHOLE, CameraView, Window, places_in_small
 from nvsf_core.rendering.plane_volume import Agreement, agreement
 from nvsf_core.rendering.sources import SeenPoints
@@ -57,13 +57,10 @@ def planes_of(
 
 
 def plane_features(agreed: Agreement, prior: Tensor, gap_px: Tensor, inverses: Tensor) -> Tensor:
-    """Input (d, N_FEATURES, h, w) of the depth network, channels last in memory.
+    """Input (d, N_FEATURES, h, w) of the depth network for d planes, channels last in memory.
 
-    Args:
-        agreed: How well the sources agree on d planes.
-        prior: (h, w) inverse depth from the LiDAR, 1/m.
-        gap_px: (h, w) distance to the nearest return in shrunk pixels; inf where there is no return.
-        inverses: (d,) inverse depths of the planes, 1/m.
+    Of inverse depths (h, w) from the LiDAR and (d,) of the planes, 1/m, and the distance (h, w) to the
+    nearest return in shrunk pixels, inf where there is no return.
     """
     # Without any return the prior is only a placeholder.
     is_known = torch.isfinite(gap_px).float()

@@ -33,14 +33,7 @@ class Agreement(NamedTuple):
 
 
 def agreement(sources: Sources, points: SeenPoints, pinhole: Pinhole, first: int = 0) -> Agreement:
-    """Compare the sources at points of a view.
-
-    Args:
-        sources: Source images of the view.
-        points: What is compared.
-        pinhole: Intrinsics of the source images.
-        first: The first source that counts for the colour.
-    """
+    """Compare the sources at points of a view; `first` is the first source that counts for the colour."""
     weight = torch.full((len(sources.chosen),), _FARTHER_WEIGHT)
     weight[: first + _NEAREST] = 1.0
     weight[:first] = 0.0

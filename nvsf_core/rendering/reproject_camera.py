@@ -143,15 +143,10 @@ def inverse_depth(
 
 
 def nearest_sources(target_pose: np.ndarray, source_poses: np.ndarray, most: int = 2) -> list[int]:
-    """Indices of the (at most) `most` cameras nearest to a view, the nearest first; ties keep their order.
+    """Indices of the at most `most` of k cameras nearest to a view, the nearest first; ties keep their order.
 
-    Those that look the other way count as some metres farther away: where a road is driven there and back,
-    they are near and show nothing of it.
-
-    Args:
-        target_pose: (4, 4) camera to scene-local frame, of the view.
-        source_poses: (k, 4, 4) camera to scene-local frame.
-        most: Largest number of indices.
+    Poses (4, 4) and (k, 4, 4) are camera to scene-local. Those that look the other way count as some metres
+    farther away: where a road is driven there and back, they are near and show nothing of it.
     """
     distances = np.linalg.norm(source_poses[:, :3, 3] - target_pose[:3, 3], axis=1)
     looks_back = source_poses[:, :3, 2] @ target_pose[:3, 2] < OTHER_WAY

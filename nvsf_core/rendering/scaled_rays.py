@@ -53,15 +53,10 @@ def lidar_rays(
 
 
 def camera_rays(bounds: Bounds, origin_m: np.ndarray, direction: np.ndarray, *, near_m: float) -> ScaledRays:
-    """Scaled rays of a camera, each up to where it leaves the unit cube.
+    """Scaled rays of a camera, from `near_m` up to where each leaves the unit cube.
 
-    A ray that starts outside the cube is sampled only over one hundredth of `near_m`.
-
-    Args:
-        bounds: The scene's cube.
-        origin_m: (r, 3) scene-local, metres.
-        direction: (r, 3) unit, scene-local axes.
-        near_m: Range of the first sample.
+    Origins, metres, and unit directions (r, 3) are scene-local. A ray that starts outside the cube is sampled
+    only over one hundredth of `near_m`.
     """
     origin, towards = _scaled(bounds, origin_m), torch.from_numpy(direction.astype(np.float32))
     near = torch.full((len(towards),), bounds.scaled(near_m))

@@ -66,14 +66,7 @@ def sharpened(
 
 
 def static_sources(images: Tensor, chosen: list[int], poses: np.ndarray, own: int) -> Sources:
-    """Images as sources of what is static in an image.
-
-    Args:
-        images: (j, c, H, W), channels as of `Sources.images`.
-        chosen: Numbers of the sources.
-        poses: (j, 4, 4) camera to scene-local frame of all images.
-        own: Number of the image.
-    """
+    """Images (j, c, H, W) as sources of what is static in the image `own`; poses (j, 4, 4) are of all."""
     motion = image_motions(poses[own], poses[chosen], [])[0]
     return Sources(images, chosen, torch.from_numpy(motion.astype(np.float32)), torch.ones(len(chosen)))
 

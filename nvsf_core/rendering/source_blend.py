@@ -100,13 +100,7 @@ def _blended(
 ) -> Tensor:
     """Colours (3, h, w), about 0..1: the sources', brought together, each by how far it is trusted.
 
-    Args:
-        view: The view.
-        points: Of its pixels.
-        found: Their depths.
-        colour: As of `look_up`.
-        seen: As of `look_up`.
-        around: (3, h, w) of `_around`.
+    `colour` and `seen` are as of `look_up`, `around` (3, h, w) as of `_around`.
     """
     sources = view.near.of(view.images.full)
     where, likeliest = kernel_inputs(sources, points, view.pinhole), _array(found.likeliest)

@@ -210,11 +210,8 @@ def images_beyond(
 def depth_in_view(pinhole: Pinhole, near: NearMaps, expected: Tensor | None) -> ViewDepth:
     """The surfaces that the depth maps of images around a view agree on.
 
-    Args:
-        pinhole: Intrinsics of the view and of all images.
-        near: Depth maps of images around it.
-        expected: (H, W) uint8: the moving object that returns show at each pixel, an index of the motions; 0
-            or None = none is known to be there.
+    `expected` (H, W) uint8 is the moving object that returns show at each pixel, an index of the motions; 0
+    or None = none is known to be there.
     """
     intrinsics = (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
     carried = _carried(near, near.inverse, intrinsics)
@@ -260,13 +257,8 @@ def _inverted(motions: np.ndarray) -> np.ndarray:
 def baseline_sources(poses: np.ndarray, own: int, known: Sequence[int], most: int) -> list[int]:
     """Images at several distances from an image: near ones look alike, far ones tell depths apart.
 
-    Images that look the other way are not chosen.
-
-    Args:
-        poses: (j, 4, 4) camera to scene-local frame of all images.
-        own: Number of the image.
-        known: Numbers of the images to choose from.
-        most: How many are chosen.
+    At most `most`; images that look the other way are not chosen. Of those numbered `known`; poses (j, 4, 4)
+    of all are camera to scene-local.
     """
     looks_back = poses[:, :3, 2] @ poses[own][:3, 2] < OTHER_WAY
     left = [number for number in known if number != own and not looks_back[number]]
@@ -280,14 +272,7 @@ def baseline_sources(poses: np.ndarray, own: int, known: Sequence[int], most: in
 def covering_sources(pinhole: Pinhole, surfaces: ViewDepth, near: NearMaps, most: int) -> list[int]:
     """Images that together see most of a view, near ones preferred; the nearest is always one of them.
 
-    Args:
-        pinhole: Intrinsics of the view and of all images.
-        surfaces: Of the view.
-        near: Depth maps of images around it, the nearest first.
-        most: How many are chosen.
-
-    Returns:
-        Places of the chosen among the k, ascending.
+    At most `most`; their places among the k of `near`, the nearest first, ascending.
     """
     half = _THINNED // 2
     rays = plane_rays(pinhole)[half::_THINNED, half::_THINNED]

@@ -22,19 +22,12 @@ _RIM_PX = 0.01
 def source_pixels(
     motion: Tensor, rays: Tensor, inverse: Tensor, pinhole: Pinhole
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Places of a view's pixels in a source image.
+    """Places in a source image of a view's pixels, of directions (x, y, 1) (..., 3).
 
-    A point at z-depth 1/q along the ray (x, y, 1) lies, scaled by q, at R (x, y, 1) + q t of the source.
-
-    Args:
-        motion: (4, 4) from the view's camera frame to the source's: R and t.
-        rays: (..., 3) directions (x, y, 1) of the pixels.
-        inverse: (...) inverse depths q, 1/m.
-        pinhole: Intrinsics of the source.
-
-    Returns:
-        grid_sample's coordinates (..., 2), whether the source shows the pixel (...) bool, and the inverse
-        depth of its point in the source (...), 1/m.
+    A point at z-depth 1/q, of inverse depth q (...), 1/m, along the ray (x, y, 1) lies, scaled by q, at R (x,
+    y, 1) + q t of the source, `motion` (4, 4) away: R and t. Returns grid_sample's coordinates (..., 2),
+    whether the source shows the pixel (...) bool, and the inverse depth of its point in the source (...),
+    1/m.
     """
     width, height = pinhole.width, pinhole.height
     # grid_sample's coordinates are linear in pixels: projection and conversion are one matrix.

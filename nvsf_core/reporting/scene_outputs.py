@@ -11,7 +11,7 @@ import numpy as np
 
 from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
 from nvsf_core.names import RESERVED_SCENES, name_fault
-from nvsf_core.recipe import is_seed_folder
+from nvsf_core.recipe.seed import is_seed_folder
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.reporting.error_cloud import ERROR_CLOUD_NAME
 from nvsf_core.reporting.measured_against import MeasuredAgainst, measured_against

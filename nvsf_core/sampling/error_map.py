@@ -64,17 +64,11 @@ class ErrorMap(nn.Module):
 
     @torch.no_grad()
     def update(self, frame: int, rows: Tensor, columns: Tensor, error: Tensor) -> None:
-        """Enter the errors of a batch: cell <- 0.1 cell + 0.9 e.
+        """Enter the errors (r,) of a frame's batch at pixels (r,), (r,): cell <- 0.1 cell + 0.9 e.
 
-        e is the error, mapped linearly from the batch's smallest and largest error to [1, 1000]. Of several
-        rays in one cell the largest counts (the authors do not say which). A batch without rays, or with
-        equal errors only, changes nothing.
-
-        Args:
-            frame: Index of the batch's frame.
-            rows: (r,) integer, pixel rows.
-            columns: (r,) integer, pixel columns.
-            error: (r,) error of each ray, any unit.
+        e is the error, of any unit, mapped linearly from the batch's smallest and largest error to [1, 1000].
+        Of several rays in one cell the largest counts (the authors do not say which). A batch without rays,
+        or with equal errors only, changes nothing.
 
         Raises:
             ShapeError: The three differ in length.
@@ -106,14 +100,8 @@ class ErrorMap(nn.Module):
         """Rows (count,) and columns (count,) of patches' upper left corners, sampled by the frame's errors.
 
         Cells are sampled by a multinomial without replacement, a corner uniformly within its cell (the
-        paper's jitter) and then moved until its patch lies within the image. With more patches than cells
-        each cell is taken once for every full round.
-
-        Args:
-            frame: Index of the frame.
-            count: Number of patches.
-            patch: Rows and columns of a patch.
-            generator: The only source of randomness.
+        paper's jitter) and then moved until its patch, of rows and columns, lies within the image. With more
+        patches than cells each cell is taken once for every full round.
 
         Raises:
             ShapeError: The patch is larger than the image.

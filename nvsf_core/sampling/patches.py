@@ -9,15 +9,9 @@ from nvsf_core.errors import ShapeError
 def uniform_corners(
     shape: tuple[int, int], patch: tuple[int, int], count: int, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Rows (count,) and columns (count,) of patches' upper left corners.
+    """Rows (count,) and columns (count,) of the upper left corners of patches, of rows and columns.
 
     Uniform, with replacement, over all patches within the image, the last rows and columns included.
-
-    Args:
-        shape: Rows and columns of the image.
-        patch: Rows and columns of a patch.
-        count: Number of patches.
-        generator: The only source of randomness.
 
     Raises:
         ShapeError: The patch is larger than the image.
@@ -36,19 +30,10 @@ def uniform_corners(
 def patch_pixels(
     corner_rows: Tensor, corner_columns: Tensor, patch: tuple[int, int], shape: tuple[int, int]
 ) -> tuple[Tensor, Tensor]:
-    """All pixels of patches with the given upper left corners.
+    """All pixels, rows (p, h, w) and columns (p, h, w) int64, of patches (h, w) by upper left corners (p,).
 
-    A corner too far down or right is moved until its patch lies within the image, as in the
-    paper's code. (LiDAR4D's patches continue at the pano's other edge.)
-
-    Args:
-        corner_rows: (p,) integer, upper rows.
-        corner_columns: (p,) integer, left columns.
-        patch: Rows h and columns w of a patch.
-        shape: Rows H and columns W of the image.
-
-    Returns:
-        Rows (p, h, w) and columns (p, h, w), int64, all within the image.
+    A corner too far down or right is moved until its patch lies within the image, as in the paper's code.
+    (LiDAR4D's patches continue at the pano's other edge.)
 
     Raises:
         ShapeError: The patch is larger than the image.

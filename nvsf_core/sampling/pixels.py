@@ -32,27 +32,19 @@ def is_second_epoch(epoch: int) -> bool:
     return epoch % 2 == 1
 
 
-def uniform_pixels(
-    shape: tuple[int, int], count: int, generator: torch.Generator, is_drawable: Tensor | None = None
-) -> tuple[Tensor, Tensor]:
-    """Rows (count,) and columns (count,) of pixels, uniform over the image, with replacement.
-
-    Args:
-        shape: Rows and columns of the image.
-        count: Number of pixels.
-        generator: The only source of randomness.
-        is_drawable: (H, W) bool, pixels that may be sampled; None = all.
+def uniform_pixels(is_drawable: Tensor, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Rows (count,) and columns (count,) of pixels, uniform over the drawable (H, W) ones, with replacement.
 
     Raises:
         ShapeError: No pixel may be sampled.
     """
-    allowed = None if is_drawable is None else is_drawable.flatten().nonzero()[:, 0]
-    size = shape[0] * shape[1] if allowed is None else len(allowed)
-    if size == 0:
+    allowed = is_drawable.flatten().nonzero()[:, 0]
+    if len(allowed) == 0:
+        shape = tuple(is_drawable.shape)
         raise ShapeError(f"uniform_pixels: expected at least one pixel to draw from, found none in {shape}")
-    drawn = torch.randint(size, (count,), generator=generator, device=generator.device)
-    pixel = drawn if allowed is None else allowed[drawn.to(allowed.device)]
-    return pixel // shape[1], pixel % shape[1]
+    drawn = torch.randint(len(allowed), (count,), generator=generator, device=generator.device)
+    pixel = allowed[drawn.to(allowed.device)]
+    return pixel // is_drawable.shape[1], pixel % is_drawable.shape[1]
 
 
 def sample_lidar_pixels(
@@ -78,7 +70,7 @@ def sample_lidar_pixels(
     height, width = error_map.drawable.shape
     heuristic, patch = sampling.heuristic and is_second_epoch(epoch), sampling.patches
     if patch is None or not is_second_epoch(epoch):
-        return _single_pixels(heuristic, sampling.rays, frame, error_map, generator)
+        return sample_pixels(sampling, epoch, frame, error_map, generator)
     count = max(1, sampling.rays // (patch[0] * patch[1]))
     if heuristic:
         corners = error_map.sample_patches(frame, count, patch, generator)
@@ -88,28 +80,20 @@ def sample_lidar_pixels(
     return SampledPixels(rows.flatten().cpu(), columns.flatten().cpu(), patch)
 
 
-def sample_camera_pixels(
+def sample_pixels(
     sampling: PaperSampling, epoch: int, frame: int, error_map: ErrorMap, generator: torch.Generator
 ) -> SampledPixels:
-    """The image pixels of one step: by the error map in every second epoch, else uniform.
+    """Single pixels of one step: by the error map in every second epoch, else uniform.
 
     Args:
         sampling: Switches and number of rays.
         epoch: From 0.
         frame: Index of the frame in `error_map`.
-        error_map: Errors of the camera's images.
+        error_map: Errors of the images.
         generator: The only source of randomness.
     """
-    heuristic = sampling.heuristic and is_second_epoch(epoch)
-    return _single_pixels(heuristic, sampling.rays, frame, error_map, generator)
-
-
-def _single_pixels(
-    heuristic: bool, count: int, frame: int, error_map: ErrorMap, generator: torch.Generator
-) -> SampledPixels:
-    if heuristic:
-        rows, columns = error_map.sample_pixels(frame, count, generator)
+    if sampling.heuristic and is_second_epoch(epoch):
+        rows, columns = error_map.sample_pixels(frame, sampling.rays, generator)
     else:
-        height, width = error_map.drawable.shape
-        rows, columns = uniform_pixels((height, width), count, generator, error_map.drawable)
+        rows, columns = uniform_pixels(error_map.drawable, sampling.rays, generator)
     return SampledPixels(rows.cpu(), columns.cpu(), None)

@@ -23,15 +23,9 @@ _ROUNDING_STEPS = 1e-3
 def sensor_rays(
     table: LaserTable, azimuth_rad: np.ndarray, laser: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rays as recorded, in the sensor's frame.
+    """Rays as recorded, in the sensor's frame: origin (..., 3) in metres, unit direction (..., 3), float64.
 
-    Args:
-        table: The sensor.
-        azimuth_rad: (...) encoder angle theta of each ray.
-        laser: (...) laser of each ray, 0 on top; broadcasts with `azimuth_rad`.
-
-    Returns:
-        origin_m (..., 3) in metres and unit direction (..., 3), float64.
+    By the encoder's angle theta (...) of each, and its laser (...), 0 on top, which broadcast.
     """
     # The table is read before broadcasting: often one laser's rays lie in a row.
     azimuth_rad, laser = np.asarray(azimuth_rad, np.float64), np.asarray(laser)
@@ -75,7 +69,9 @@ def recorded_ray_of_points(
         raise ShapeError(f"expected points (N, 3) and lasers (N,), found {points_m.shape}, {laser.shape}")
     points_m = points_m.astype(np.float64)
     theta = encoder_angle(table, points_m, laser)
-    known = (laser >= 0) & (np.hypot(points_m[:, 0], points_m[:, 1]) > _lever_m(table, laser))
+    known = (laser >= 0) & (
+        np.hypot(points_m[:, 0], points_m[:, 1]) > np.abs(table.horizontal_offset_m[laser])
+    )
     origin_m = np.where(known[:, None], _origins(table, np.cos(theta), np.sin(theta), laser), 0.0)
     ray = points_m - origin_m
     range_m = np.linalg.norm(ray, axis=1)
@@ -89,8 +85,7 @@ def encoder_angle(table: LaserTable, points_m: np.ndarray, laser: np.ndarray) ->
     horizontal_m = np.hypot(x, y)
     offset_m = np.where(laser >= 0, table.horizontal_offset_m[laser], 0.0)
     sine = np.clip(offset_m / np.where(horizontal_m > 0.0, horizontal_m, np.inf), -1.0, 1.0)
-    angle: np.ndarray = np.arctan2(y, x) - np.arcsin(sine)
-    return angle
+    return np.arctan2(y, x) - np.arcsin(sine)
 
 
 def turn_up(
@@ -147,8 +142,7 @@ def wrap_angle(angle_rad: np.ndarray) -> np.ndarray:
     """The same angle in (-pi, pi]."""
     wrapped = np.pi - np.mod(np.pi - angle_rad, 2.0 * np.pi)
     # The remainder of a number just below 0 rounds up to 2 pi: -pi, which is outside the interval.
-    inside: np.ndarray = np.where(wrapped <= -np.pi, np.pi, wrapped)
-    return inside
+    return np.where(wrapped <= -np.pi, np.pi, wrapped)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +150,6 @@ class BeamPano:
     """A range image with one row per laser; columns are encoder angles, spaced as in `LinearPano`."""
 
     table: LaserTable
-    """The sensor."""
     width: int = 1030
     """Columns around the sensor."""
     max_range_m: float = 80.0
@@ -167,10 +160,7 @@ class BeamPano:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Images (L, W) float32 of range along the laser's ray and of intensity; nearest return, 0.0 = empty.
 
-        Args:
-            points_m: (N, 3) as recorded, in the sensor's frame.
-            intensity: (N,) 0..1.
-            laser: (N,) int; returns of unknown lasers (-1) are left out.
+        Of points (N, 3) as recorded, in the sensor's frame; returns of unknown lasers (-1) are left out.
         """
         _, _, range_m = recorded_ray_of_points(self.table, points_m, laser)
         theta = encoder_angle(self.table, points_m, laser)
@@ -191,13 +181,7 @@ class BeamPano:
         laser, column = np.nonzero(range_m > 0.0)
         theta = np.pi - column * (2.0 * np.pi / self.width)
         origin_m, direction = sensor_rays(self.table, theta, laser)
-        found: np.ndarray = origin_m + direction * range_m[laser, column, None].astype(np.float64)
-        return found
-
-
-def _lever_m(table: LaserTable, laser: np.ndarray) -> np.ndarray:
-    lever: np.ndarray = np.abs(table.horizontal_offset_m[laser])
-    return lever
+        return origin_m + direction * range_m[laser, column, None].astype(np.float64)
 
 
 def _origins(table: LaserTable, cos_a: np.ndarray, sin_a: np.ndarray, laser: np.ndarray) -> np.ndarray:

@@ -84,13 +84,14 @@ class Bonnet:
             Distance (r,) to the surface in metres, infinite where it is not met; the point (r, 3), the origin
             there; the mirrored direction (r, 3), unit.
         """
-        _, ahead, left, bent_ahead, bent_left = self.shape
+        up, ahead, left, bent_ahead, bent_left = self.shape
         ox, oy, _ = origin_m.T
         dx, dy, dz = direction.T
         # The height of the ray above the surface is a quadratic of the distance.
         second = -(bent_ahead * dx**2 + bent_left * dy**2)
         first = dz - ahead * dx - left * dy - 2.0 * (bent_ahead * ox * dx + bent_left * oy * dy)
-        distance_m = _first_root(second, first, origin_m[:, 2] - self._height_m(ox, oy))
+        height_m = up + ahead * ox + left * oy + bent_ahead * ox**2 + bent_left * oy**2
+        distance_m = _first_root(second, first, origin_m[:, 2] - height_m)
         point_m = origin_m + np.where(np.isfinite(distance_m), distance_m, 0.0)[:, None] * direction
         x, y = point_m[:, 0], point_m[:, 1]
         normal = np.stack([-ahead - 2.0 * bent_ahead * x, -left - 2.0 * bent_left * y, np.ones(len(x))], -1)
@@ -104,8 +105,7 @@ class Bonnet:
         distance_m, point_m, onward = self.reflect(origin_m, direction)
         rest_m = range_m - distance_m
         rest_m = np.where(np.isfinite(rest_m) & (rest_m > 0.0), rest_m, np.nan)
-        images: np.ndarray = point_m + rest_m[:, None] * onward
-        return images
+        return point_m + rest_m[:, None] * onward
 
     def is_mirrored(self, table: LaserTable, scan: ScanReturns) -> np.ndarray:
         """Whether (N,) bool returns of a scan lie below the road and, mirrored, on another of its returns."""
@@ -125,11 +125,6 @@ class Bonnet:
         apart[met] = np.minimum(scan.others.query(images_m[met])[0], _MOST_APART_M)
         return apart
 
-    def _height_m(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        up, ahead, left, bent_ahead, bent_left = self.shape
-        height: np.ndarray = up + ahead * x + left * y + bent_ahead * x**2 + bent_left * y**2
-        return height
-
 
 def _first_root(second: np.ndarray, first: np.ndarray, zeroth: np.ndarray) -> np.ndarray:
     """(r,) least positive root of second t^2 + first t + zeroth; infinite where there is none."""
@@ -140,8 +135,7 @@ def _first_root(second: np.ndarray, first: np.ndarray, zeroth: np.ndarray) -> np
     with np.errstate(divide="ignore", invalid="ignore"):
         roots = np.stack([middle / second, zeroth / middle])
     roots[~(np.isfinite(roots) & (roots > 0.0) & (inside >= 0.0))] = np.inf
-    least: np.ndarray = roots.min(axis=0)
-    return least
+    return roots.min(axis=0)
 
 
 def below_road(points_m: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nvsf_core.errors import DataError
+from nvsf_core.sensors.lasers import elevation_of
 from nvsf_core.sensors.ray_origins import origin_words
 from nvsf_core.sensors.tables import LaserTable
 
@@ -151,7 +152,7 @@ def find_table(scans: Scans, others: Scans = ()) -> FoundTable:
 
 def _fitting(clouds: Sequence[np.ndarray], lines: Sequence[_Line]) -> float:
     """Share of the clouds' far returns within 0.15 degrees of a laser's line."""
-    found = [_elevation(points_m) for points_m in clouds]
+    found = [elevation_of(points_m) for points_m in clouds]
     elevation, range_m = (np.concatenate(parts) for parts in zip(*found, strict=True))
     far = range_m > _FAR_M
     off = np.full(int(far.sum()), np.inf)
@@ -182,7 +183,7 @@ def _told_apart(scans: Scans, others: Scans) -> tuple[list[np.ndarray], str, int
             "order in the file; name the sensor (`lidar` of the scene), or give each point its `ring`"
         )
     for points_m, _ in scans:
-        elevation, range_m = _elevation(points_m)
+        elevation, range_m = elevation_of(points_m)
         band = np.searchsorted(bands, elevation) - 1
         labels.append(np.where((range_m > _FAR_M) & (band >= 0) & (band < len(bands) - 1), band, -1))
     return _full(_grouped(scans, labels)), "separated by gaps between their elevations", 0
@@ -231,15 +232,9 @@ def _turns(points_m: np.ndarray) -> np.ndarray:
     return np.concatenate([[0], np.cumsum(np.abs(np.diff(azimuth)) > np.pi)])[: len(points_m)]
 
 
-def _elevation(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    points_m = points_m[:, :3].astype(np.float64)
-    range_m = np.maximum(np.linalg.norm(points_m, axis=1), 1e-6)
-    return np.arcsin(np.clip(points_m[:, 2] / range_m, -1.0, 1.0)), range_m
-
-
 def _bands(scans: Scans) -> np.ndarray:
     """Limits of the elevations of each laser: the middles of the gaps between far returns' elevations."""
-    found = [_elevation(points_m) for points_m, _ in scans]
+    found = [elevation_of(points_m) for points_m, _ in scans]
     elevation = np.concatenate([one[range_m > _FAR_M] for one, range_m in found])
     if len(elevation) < _FEWEST_RETURNS:
         return np.zeros(0)
@@ -249,18 +244,9 @@ def _bands(scans: Scans) -> np.ndarray:
         elevation, np.arange(elevation.min() - width, elevation.max() + 2 * width, width)
     )
     is_empty = count <= max(1.0, 0.02 * np.percentile(count[count > 0], 90))
-    middles, k = [float(edge[0])], 0
-    while k < len(count):
-        if not is_empty[k]:
-            k += 1
-            continue
-        end = k
-        while end < len(count) and is_empty[end]:
-            end += 1
-        if k > 0 and end < len(count) and end - k >= 2:
-            middles.append(0.5 * float(edge[k] + edge[end]))
-        k = end
-    return np.array([*middles, float(edge[-1])])
+    start, end = np.flatnonzero(np.diff(is_empty, prepend=False, append=False)).reshape(-1, 2).T
+    is_gap = (start > 0) & (end < len(count)) & (end - start >= 2)
+    return np.concatenate([edge[:1], 0.5 * (edge[start] + edge[end])[is_gap], edge[-1:]])
 
 
 def _lines(groups: Sequence[np.ndarray]) -> list[_Line]:
@@ -272,7 +258,7 @@ def _lines(groups: Sequence[np.ndarray]) -> list[_Line]:
             continue
         near = min(known, key=lambda other: abs(lines[other].elevation_rad - one.elevation_rad))
         arm_m = lines[near].arm_m
-        elevation, range_m = _elevation(groups[k])
+        elevation, range_m = elevation_of(groups[k])
         base = float(np.median(elevation - arm_m / range_m))
         spread = 1.4826 * float(np.median(np.abs(elevation - arm_m / range_m - base)))
         lines[k] = _Line(base, arm_m, spread, is_certain=False)
@@ -281,7 +267,7 @@ def _lines(groups: Sequence[np.ndarray]) -> list[_Line]:
 
 def _line(points_m: np.ndarray) -> _Line:
     """The line of one laser's elevations over 1 / r, without its outliers."""
-    elevation, range_m = _elevation(points_m)
+    elevation, range_m = elevation_of(points_m)
     nearness = 1.0 / range_m
     kept = np.ones(len(elevation), np.bool_)
     line = _Line(float(np.median(elevation)), 0.0, float("inf"), is_certain=False)
@@ -336,17 +322,13 @@ def _has_one_begin(groups: Sequence[np.ndarray], arms_m: np.ndarray) -> bool:
 def _wave(angle_rad: np.ndarray) -> np.ndarray:
     """Mean of exp(-i n angle) over angles (k,) in [0, 2 pi), for each wave number n."""
     bins = np.minimum((angle_rad * (_BINS / (2.0 * np.pi))).astype(np.int64), _BINS - 1)
-    wave: np.ndarray = np.fft.rfft(np.bincount(bins, minlength=_BINS))[:_MOST_STEPS] / len(angle_rad)
-    return wave
+    return np.fft.rfft(np.bincount(bins, minlength=_BINS))[:_MOST_STEPS] / len(angle_rad)
 
 
 def _spectra(points_m: np.ndarray) -> np.ndarray:
     """Height of each wave number for each lever arm tried, (arms, wave numbers)."""
     azimuth, rho_m = _flat(points_m)
-    found = []
-    for arm_m in _ARMS_M:
-        found.append(np.abs(_wave(np.mod(azimuth - arm_m / rho_m, 2.0 * np.pi))))
-    return np.array(found)
+    return np.array([np.abs(_wave(np.mod(azimuth - arm_m / rho_m, 2.0 * np.pi))) for arm_m in _ARMS_M])
 
 
 def _flat(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -130,21 +130,21 @@ def _mend_seam(
     points_m: np.ndarray, laser: np.ndarray, nearest: np.ndarray, nearest_rad: np.ndarray, table: LaserTable
 ) -> np.ndarray:
     """Laser (N,), corrected by elevation where noise moved a return past azimuth 0 to the next laser."""
-    elevation, range_m = _elevation(points_m)
+    elevation, range_m = elevation_of(points_m)
     own_rad = np.abs(elevation - table.vertical_offset_m[laser] / range_m - table.elevation_rad[laser])
     return np.where((own_rad > _RESIDUAL_RAD) & (nearest_rad < _RESIDUAL_RAD), nearest, laser)
 
 
-def _elevation(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Elevation in radians and range in metres of each point."""
-    x, y, z = points_m.astype(np.float64).T
+def elevation_of(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Elevation (n,) in radians and range (n,) in metres of points (n, 3 or more): metres, x y z first."""
+    x, y, z = points_m[:, :3].astype(np.float64).T
     range_m = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-6)
     return np.arcsin(np.clip(z / range_m, -1.0, 1.0)), range_m
 
 
 def nearest_laser(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray, np.ndarray]:
     """Laser with the nearest elevation for each point (N, 3) in metres, and how far it is, radians."""
-    elevation, range_m = _elevation(points_m)
+    elevation, range_m = elevation_of(points_m)
     best = np.zeros(len(points_m), np.int64)
     best_rad: np.ndarray = np.full(len(points_m), np.inf)
     # One laser at a time: an (N, L) table of distances would take 60 MB a scan.

@@ -16,9 +16,7 @@ class LinearPano:
     """The grid of such a pano, with the sensor's centre as its viewpoint."""
 
     height: int = 66
-    """Rows."""
     width: int = 1030
-    """Columns around the sensor."""
     fov_up_deg: float = 2.0
     """Elevation of row 0."""
     fov_deg: float = 26.9
@@ -99,20 +97,13 @@ class LinearPano:
         if range_m.shape != (self.height, self.width):
             raise ShapeError(f"expected a range image {(self.height, self.width)}, found {range_m.shape}")
         filled = range_m > 0.0
-        found: np.ndarray = self.directions()[filled] * range_m[filled, None].astype(np.float64)
-        return found
+        return self.directions()[filled] * range_m[filled, None].astype(np.float64)
 
 
 def nearest_in_cells(cell: np.ndarray, range_m: np.ndarray, cell_count: int) -> np.ndarray:
-    """Index of the nearest return of each cell, -1 where there is none.
+    """Index (cell_count,) int64 of the nearest return of each cell, the first of equal ones, -1 = none.
 
-    Args:
-        cell: (N,) integer cells in [0, cell_count).
-        range_m: (N,) finite ranges in metres.
-        cell_count: Number of cells.
-
-    Returns:
-        (cell_count,) int64 indices into the returns; of equally near ones the first.
+    Of cells (N,) in [0, cell_count) and finite ranges (N,), metres.
 
     Raises:
         ShapeError: The two arrays differ in length.

@@ -18,6 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from nvsf_core.sensors.lasers import elevation_of
 from nvsf_core.sensors.tables import LaserTable
 
 NEAR_M = 2.5
@@ -80,12 +81,9 @@ class OwnVehicle:
 def learn_own_vehicle(
     table: LaserTable, scans: Sequence[PlacedScan], azimuth_cells: int = 2000
 ) -> OwnVehicle:
-    """Learn the own vehicle from training scans.
+    """Learn the own vehicle from training scans in order of time.
 
-    Args:
-        table: The sensor.
-        scans: In order of time.
-        azimuth_cells: Cells around the sensor; at most the firings of a sweep, or some stay empty by chance.
+    `azimuth_cells` are around the sensor; at most the firings of a sweep, or some stay empty by chance.
     """
     weight = _path_shares(np.array([scan.position_m for scan in scans], np.float64).reshape(-1, 3))
     near = [np.flatnonzero(_distance(scan.points_m) < NEAR_M) for scan in scans]
@@ -150,10 +148,8 @@ def _is_of_long(place: np.ndarray, scans: Sequence[PlacedScan], weight: np.ndarr
     At the same height, because a car's wheels stand on the ground, which reaches farther.
     """
     points = [scan.points_m[_distance(scan.points_m) < _LONG_M + _VOXEL_M] for scan in scans]
-    of_scan, cube = (
-        np.repeat(np.arange(len(scans)), [len(one) for one in points]),
-        _cube(_gathered(points, 3)),
-    )
+    of_scan = np.repeat(np.arange(len(scans)), [len(one) for one in points])
+    cube = _cube(_gathered(points, 3))
     is_level = (cube[:, 2] >= place[:, 2].min()) & (cube[:, 2] <= place[:, 2].max())
     of_scan, cube = of_scan[is_level], cube[is_level]
     packed, first, each = np.unique(_packed(cube), return_index=True, return_inverse=True)
@@ -175,8 +171,7 @@ def _cube(points_m: np.ndarray) -> np.ndarray:
 
 def _packed(cube: np.ndarray) -> np.ndarray:
     """(N,) int64: one number a cube (N, 3); cubes lie within 2^19 of 0."""
-    numbers: np.ndarray = (cube[:, 0] * _STRIDE + cube[:, 1]) * _STRIDE + cube[:, 2]
-    return numbers
+    return (cube[:, 0] * _STRIDE + cube[:, 1]) * _STRIDE + cube[:, 2]
 
 
 def _in_or_beside(cube: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -217,14 +212,10 @@ def _cells(
     unknown = row < 0
     if unknown.any():
         # Without a laser, the row of the nearest elevation: on the car it is the same in each scan, too.
-        range_m = np.maximum(_distance(points_m[unknown]), 1e-6)
-        elevation = np.arcsin(np.clip(points_m[unknown, 2] / range_m, -1.0, 1.0))
-        descending = table.elevation_rad
-        middle = 0.5 * (descending[:-1] + descending[1:])
-        row[unknown] = np.searchsorted(-middle, -elevation)
+        middle = 0.5 * (table.elevation_rad[:-1] + table.elevation_rad[1:])
+        row[unknown] = np.searchsorted(-middle, -elevation_of(points_m[unknown])[0])
     return row, column
 
 
 def _distance(points_m: np.ndarray) -> np.ndarray:
-    distance: np.ndarray = np.linalg.norm(points_m.astype(np.float64), axis=1)
-    return distance
+    return np.linalg.norm(points_m.astype(np.float64), axis=1)

@@ -140,5 +140,4 @@ def _without_laser(table: LaserTable, chosen: np.ndarray, off_rad: np.ndarray) -
     gap_rad = np.abs(np.diff(table.elevation_rad, prepend=np.inf, append=-np.inf))
     room_rad = np.minimum(gap_rad[:-1], gap_rad[1:])
     own_rad = np.maximum(_OWN_ROOM * room_rad[chosen], _LEAST_OWN_RAD)
-    without: np.ndarray = is_second | (off_rad > own_rad)
-    return without
+    return is_second | (off_rad > own_rad)

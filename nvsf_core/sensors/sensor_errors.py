@@ -102,8 +102,7 @@ def _step(points: np.ndarray, direction: np.ndarray, laser: np.ndarray, bias: np
     normal_matrix = np.diag(np.bincount(laser, weights=weight * slope**2, minlength=lasers) + _PRIOR_RETURNS)
     normal_matrix -= shared.T @ (shared / total[:, None])
     gradient = np.bincount(laser, weights=weight * slope * error, minlength=lasers) - shared.T @ offset
-    step: np.ndarray = np.linalg.solve(normal_matrix, gradient - _PRIOR_RETURNS * bias)
-    return step
+    return np.linalg.solve(normal_matrix, gradient - _PRIOR_RETURNS * bias)
 
 
 def _flat_voxels(points: np.ndarray, voxel: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

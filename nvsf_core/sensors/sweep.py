@@ -29,8 +29,7 @@ from nvsf_core.sensors.tables import LaserTable
 
 def sweep_fraction(azimuth_rad: np.ndarray) -> np.ndarray:
     """-a / 2 pi of azimuths (...), in [-0.5, 0.5): where in a sweep that is cut behind they are measured."""
-    fraction: np.ndarray = -wrap_angle(azimuth_rad) / (2.0 * np.pi)
-    return fraction
+    return -wrap_angle(azimuth_rad) / (2.0 * np.pi)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,11 +118,9 @@ class Trajectory:
 
 
 def trajectory_of(frames: Sequence[Mapping[str, Any]], scene_to_world: np.ndarray) -> Trajectory:
-    """Trajectory of the LiDAR frame, from the frames that have a pose.
+    """Trajectory of the LiDAR frame, from the frames that have a pose; `scene_to_world` is (4, 4).
 
-    Args:
-        frames: Each with `pose_valid`, `time_s` and `lidar_to_world`, a 4 x 4 matrix as 16 numbers.
-        scene_to_world: (4, 4) float64, pose of the scene's frame in the world.
+    Frames have `pose_valid`, `time_s` and `lidar_to_world`, a 4 x 4 matrix as 16 numbers.
     """
     posed = [frame for frame in frames if frame["pose_valid"]]
     return Trajectory(

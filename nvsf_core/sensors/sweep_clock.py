@@ -30,8 +30,7 @@ class SweepClock(NamedTuple):
     def elapsed(self, fraction: np.ndarray) -> np.ndarray:
         """Sweeps after the pose's instant (...) at which azimuths of `sweep_fraction` (...) are measured."""
         turned = fraction if self.spin > 0.0 else -fraction
-        later: np.ndarray = turned + self.lag + (turned < self.cut)
-        return later
+        return turned + self.lag + (turned < self.cut)
 
 
 def find_clock(fraction: np.ndarray, elapsed: np.ndarray) -> SweepClock | None:

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.sensors.known_elevations import HDL_32E_DEG, PANDAR_64_DEG, VLS_128_DEG
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,6 +94,28 @@ _HDL_64E_FIRING_SHIFT_STEPS = (
     -37, -1, 35, 73, -97, -61, -24, 13, 49, 87, -112, -75, -38, 0, 36, 74,
     -100, -62, -25, 13, 50, 89, -115, -77, -40, 0, 38, 76, -103, -64, -26, 13,
 )  # fmt: skip
+# HDL-32E User's Manual (63-9113), firing order and vertical angles: thirds of 4 degrees from 10.67 to -30.67.
+_HDL_32E_DEG = np.round(np.arange(8, -24, -1) * (4.0 / 3.0), 2)
+# VLS-128 User Manual; the same angles stand in Velodyne's drivers, channel by channel.
+_VLS_128_DEG = np.array([
+    15.0, 11.75, 9.7, 8.43, 7.58, 6.98, 6.48, 6.08, 5.73, 5.43, 5.18, 4.98, 4.83, 4.72, 4.61, 4.5, 4.39,
+    4.28, 4.17, 4.06, 3.95, 3.84, 3.73, 3.62, 3.51, 3.4, 3.29, 3.18, 3.07, 2.96, 2.85, 2.74, 2.63, 2.52,
+    2.41, 2.3, 2.19, 2.08, 1.97, 1.86, 1.75, 1.64, 1.53, 1.42, 1.31, 1.2, 1.09, 0.98, 0.87, 0.76, 0.65,
+    0.54, 0.43, 0.32, 0.21, 0.1, -0.01, -0.12, -0.23, -0.34, -0.45, -0.56, -0.67, -0.78, -0.89, -1.0, -1.11,
+    -1.22, -1.33, -1.44, -1.55, -1.66, -1.77, -1.88, -1.99, -2.1, -2.21, -2.32, -2.43, -2.54, -2.65, -2.76,
+    -2.87, -2.98, -3.09, -3.2, -3.31, -3.42, -3.53, -3.64, -3.75, -3.86, -3.97, -4.08, -4.19, -4.3, -4.41,
+    -4.52, -4.63, -4.74, -4.85, -4.96, -5.07, -5.18, -5.29, -5.4, -5.51, -5.62, -5.73, -5.84, -5.95, -6.06,
+    -6.17, -6.28, -6.39, -6.5, -6.65, -6.85, -7.15, -7.65, -8.352, -9.244, -10.346, -11.742, -13.565,
+    -16.042, -19.582, -25.0,
+])  # fmt: skip
+# Hesai's general ROS driver (HesaiLidar_General_ROS), Pandar64.
+_PANDAR_64_DEG = np.array([
+    14.882, 11.032, 8.059, 5.057, 3.04, 2.028, 1.86, 1.688, 1.522, 1.351, 1.184, 1.013, 0.846, 0.675, 0.508,
+    0.337, 0.169, 0.0, -0.169, -0.337, -0.508, -0.675, -0.845, -1.013, -1.184, -1.351, -1.522, -1.688, -1.86,
+    -2.028, -2.198, -2.365, -2.536, -2.7, -2.873, -3.04, -3.21, -3.375, -3.548, -3.712, -3.884, -4.05, -4.221,
+    -4.385, -4.558, -4.72, -4.892, -5.057, -5.229, -5.391, -5.565, -5.726, -5.898, -6.061, -7.063, -8.059,
+    -9.06, -9.885, -11.032, -12.006, -12.974, -13.93, -18.889, -24.897,
+])  # fmt: skip
 # The manual lists them from -15 to 15 degrees, 11.2 to -11.2 mm; ours run from the top.
 _VLP_16_VERTICAL_OFFSET_MM = (
     -11.2, -9.7, -8.1, -6.6, -5.1, -3.7, -2.2, -0.7, 0.7, 2.2, 3.7, 5.1, 6.6, 8.1, 9.7, 11.2,
@@ -188,22 +209,21 @@ OS1_64 = even_table(
 """Ouster OS1-64 at 1024 columns, nominal: 33.2 degrees evenly divided (likewise), beams of 0.13 degrees (OS1
 data sheet)."""
 
-HDL_32E = even_table("HDL-32E", HDL_32E_DEG, firings=2170, max_range_m=100.0)
+HDL_32E = even_table("HDL-32E", _HDL_32E_DEG, firings=2170, max_range_m=100.0)
 """Velodyne HDL-32E at 600 rotations per minute: 46.08 us per firing (User's Manual); lever arms and beam
 widths are not published there."""
 
-VLS_128 = even_table("VLS-128", VLS_128_DEG, firings=1876, max_range_m=245.0, divergence_mrad=3.0)
+VLS_128 = even_table("VLS-128", _VLS_128_DEG, firings=1876, max_range_m=245.0, divergence_mrad=3.0)
 """Velodyne VLS-128 at 600 rotations per minute: 53.3 us per firing, beams of 3.0 x 1.5 mrad (User Manual).
 Its lasers look up to 6 degrees aside of each other, which is left out: all look the same way."""
 
-PANDAR_64 = even_table("Pandar64", PANDAR_64_DEG, firings=1800, max_range_m=200.0)
+PANDAR_64 = even_table("Pandar64", _PANDAR_64_DEG, firings=1800, max_range_m=200.0)
 """Hesai Pandar64 at 600 rotations per minute, 0.2 degrees. Its lasers look up to 5.2 degrees aside of each
 other, which is left out; beam widths are not known here."""
 
 SENSOR_TABLES = {
     table.name: table for table in (HDL_64E, HDL_32E, VLP_16, VLS_128, OS1_64, OS1_128, PANDAR_64)
 }
-"""All tables by name."""
 
 
 def sensor_table(name: str) -> LaserTable:

@@ -128,5 +128,4 @@ def _mirrored_length_m(
         renderer, origin_m.astype(np.float32), direction.astype(np.float32), np.ones(len(ray), np.float32),
         fired_s,
     )  # fmt: skip
-    length_m: np.ndarray = distance_m + seen.range_m
-    return length_m
+    return distance_m + seen.range_m

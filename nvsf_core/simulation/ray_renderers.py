@@ -1,5 +1,8 @@
 """Renderers of LiDAR rays: by a trained field, by LiDAR evidence alone, by surfels from images."""
 
+from dataclasses import fields
+from typing import Any
+
 import numpy as np
 import torch
 
@@ -7,7 +10,7 @@ from nvsf_core.evidence.moving.objects import NearObjects
 from nvsf_core.evidence.surfels import Surfels, candidates_of
 from nvsf_core.fields.lidar_field import LidarField, object_surfaces, surface_batch
 from nvsf_core.kernels.threads import in_parts
-from nvsf_core.recipe import EvidenceSpec
+from nvsf_core.recipe.residual import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.lidar import render_rays
 from nvsf_core.rendering.rendered import RenderedRays
@@ -136,15 +139,9 @@ def _joined(parts: list[RenderedRays]) -> RenderedRays:
     """Concatenation of parts; without a column that any part lacks."""
     if len(parts) == 1:
         return parts[0]
-    range_m, hit, intensity = (
-        np.concatenate([getattr(p, n) for p in parts]) for n in ("range_m", "hit", "intensity")
-    )
-    hit_prior = _joined_column([part.hit_prior for part in parts])
-    return RenderedRays(
-        range_m, hit, intensity, hit_prior, _joined_column([part.on_object for part in parts])
-    )
 
+    def column(name: str) -> Any:
+        found = [getattr(part, name) for part in parts]
+        return None if any(one is None for one in found) else np.concatenate(found)
 
-def _joined_column(parts: list[np.ndarray | None]) -> np.ndarray | None:
-    known = [part for part in parts if part is not None]
-    return np.concatenate(known) if len(known) == len(parts) else None
+    return RenderedRays(*(column(one.name) for one in fields(RenderedRays)))

@@ -51,11 +51,8 @@ class HitBlend:
     """Blend of two hit logits: network * network_logit + ray_head * ray_head_logit + offset."""
 
     network: float
-    """Weight of the raydrop network."""
     ray_head: float
-    """Weight of the field's ray head."""
     offset: float
-    """Added to the logit."""
 
     def logit(self, network_logit: np.ndarray, ray_head_logit: np.ndarray) -> np.ndarray:
         """The blended logit; all arrays of one shape."""
@@ -90,14 +87,10 @@ def fit_blend(network_logit: np.ndarray, ray_head_logit: np.ndarray, returned: n
 
 
 def sharpen_hits(probability: np.ndarray, sharpness: float = SAMPLING_SHARPNESS) -> np.ndarray:
-    """Move probabilities towards 0 and 1 with the same sum: q = sigmoid(sharpness * logit(p) + b).
+    """Move probabilities, of any shape, towards 0 and 1: q = sigmoid(sharpness * logit(p) + b), float64.
 
-    Args:
-        probability: Any shape, 0..1.
-        sharpness: Factor of the logits; 1 changes nothing.
-
-    Returns:
-        The same shape, float64. b is found by bisection so that the expected number of hits is kept.
+    b is found by bisection so that the expected number of hits, their sum, is kept. With a sharpness of 1
+    nothing changes.
     """
     p = np.clip(probability.astype(np.float64), 1e-6, 1.0 - 1e-6)
     if p.size == 0:
@@ -109,8 +102,3 @@ def sharpen_hits(probability: np.ndarray, sharpness: float = SAMPLING_SHARPNESS)
         expected = np.mean(1.0 / (1.0 + np.exp(-np.clip(logit + shift, -60.0, 60.0))))
         low, high = (shift, high) if expected < p.mean() else (low, shift)
     return 1.0 / (1.0 + np.exp(-np.clip(logit + 0.5 * (low + high), -60.0, 60.0)))
-
-
-def sample_returns(hit: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """Whether rays return, bool of any shape, sampled from their sharpened hit probabilities."""
-    return generator.random(hit.shape) < sharpen_hits(hit)

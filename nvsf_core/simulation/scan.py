@@ -13,7 +13,7 @@ from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.sensors.sweep import SweepRays
 from nvsf_core.sensors.tables import LaserTable
-from nvsf_core.simulation.raydrop import rays_return, sample_returns
+from nvsf_core.simulation.raydrop import rays_return, sharpen_hits
 
 RANGE_NOISE_M = 0.015
 """Standard deviation of the range noise; an HDL-64E's maker states below 2 cm (one sigma)."""
@@ -67,12 +67,8 @@ def by_lasers(
 ) -> RenderedRays:
     """Convert to the convention of stored scans: intensities with the laser's gain, ranges without its bias.
 
-    Args:
-        rendered: Of r rays.
-        laser: (r,) row of the table; -1 = unknown: neither gain nor bias.
-        table: Gains and biases of the lasers.
-        as_recorded: `rendered` has both gain and bias, see `SceneModel`: the bias is subtracted. Else it has
-            neither: the gain is applied.
+    Of r rays by rows (r,) of the table, -1 = unknown: neither gain nor bias. `as_recorded`: they have both,
+    see `SceneModel`, and the bias is subtracted. Else they have neither, and the gain is applied.
     """
     known = laser >= 0
     if as_recorded:
@@ -225,7 +221,7 @@ def sample_scan(
             )
     range_m = grid["grid_range_m"].astype(np.float64)
     hit = grid["grid_hit"]
-    kept = rays_return(hit) if by_threshold else sample_returns(hit, generator)
+    kept = rays_return(hit) if by_threshold else generator.random(hit.shape) < sharpen_hits(hit)
     noise_m = generator.normal(0.0, range_noise_m, range_m.shape)
     kept &= np.isfinite(range_m) & (range_m > 0.0)
     noisy_m = np.maximum(np.where(kept, range_m, 1.0) + noise_m, 0.01)
@@ -251,14 +247,9 @@ def measured_range_noise_m(
     """Standard deviation of the recorded range noise, metres; NaN where too few firings follow each other.
 
     Measured without knowing the surfaces. Three firings of a laser that follow each other meet nearly one
-    plane: of their ranges the second difference r1 - 2 r2 + r3 is noise alone, with six times its variance.
-    Edges and noise of other kinds are left out by the median.
-
-    Args:
-        range_m: (N,) along each return's ray.
-        laser: (N,) int, -1 = unknown.
-        firing: (N,) int, number within the sweep, -1 = unknown.
-        offsets: (n + 1,) int: scan k's returns are offsets[k] .. offsets[k + 1] - 1.
+    plane: of their ranges (N,) the second difference r1 - 2 r2 + r3 is noise alone, with six times its
+    variance. Edges and noise of other kinds are left out by the median. Lasers and firings (N,) are -1 where
+    unknown; scan k's returns are offsets[k] .. offsets[k + 1] - 1.
     """
     scan = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
     known = np.flatnonzero((laser >= 0) & (firing >= 0) & (range_m > 0.0) & (range_m < _NOISE_NEAR_M))

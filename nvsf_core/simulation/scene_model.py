@@ -10,9 +10,6 @@ from nvsf_core.recording.drive import ScanLookups
 from nvsf_core.rendering.rendered import RenderedImage, RenderedRays
 from nvsf_core.sensors.sweep import SweepRays
 
-PRIOR_SCANS = 6
-"""Number of scans of the hit prior, for models that do not give their own."""
-
 
 class RayRenderer(Protocol):
     """Renders LiDAR rays."""
@@ -91,7 +88,7 @@ class SceneModel:
     unobserved: RayRenderer | None = None
     """For rays of the recording sensor at its own pose for which `lidar` finds no surface though their hit
     prior is 1. None = such rays do not return."""
-    prior_scans: int = PRIOR_SCANS
+    prior_scans: int = 6
     """Number of nearest training scans in the hit prior."""
     as_recorded: bool = False
     """Its LiDAR was trained on recorded values, with each laser's range bias and intensity gain. Then neither

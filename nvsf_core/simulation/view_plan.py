@@ -94,14 +94,9 @@ class ViewPlan:
 
     def only(self, number: int) -> Self:
         """The plan of one of the instants."""
-        part = slice(number, number + 1)
-        own_s = None if self.path_time_s is None else self.path_time_s[part]
-        near_s = None if self.near_s is None else self.near_s[part]
-        given = None if self.given_poses is None else self.given_poses[part]
-        return replace(
-            self, frame=self.frame[part], time_s=self.time_s[part], path_time_s=own_s, near_s=near_s,
-            given_poses=given,
-        )  # fmt: skip
+        names = ("frame", "time_s", "path_time_s", "near_s", "given_poses")
+        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return replace(self, **{name: values[number : number + 1] for name, values in given.items()})
 
     @property
     def near(self) -> np.ndarray:
@@ -129,7 +124,6 @@ class SweepPlan(ViewPlan):
     """Instants, mounting and LiDAR of a view."""
 
     table: LaserTable
-    """The simulated sensor."""
     is_recorded_sensor: bool
     """Whether it is the recording sensor, with the own vehicle around it."""
     period_s: float | None = field(default=None, kw_only=True)
@@ -166,11 +160,7 @@ def plan_view(
 ) -> ViewPlan:
     """Plan instants and poses of a view.
 
-    Args:
-        view: What is asked for.
-        recorded_frame: (m,) numbers of the frames with a pose, ascending.
-        recorded_time_s: (m,) their times, seconds since the first frame.
-        recorded: The recorded path.
+    Of the frames with a pose: numbers (m,), ascending, and times (m,), seconds since the first frame.
 
     Raises:
         MissingFrameError: A frame that is asked for has no pose, or no instant lies in drive and path.
@@ -213,14 +203,8 @@ def _nearest_s(
     """Times (n,) of the recorded poses that are nearest in place to a path at its moments (n,).
 
     Where the nearest one looks the other way, as on a road that is driven there and back, and one beside it
-    looks the same way, that one is taken: it saw the sides of things that the view shows.
-
-    Args:
-        path: Where the view's sensor goes.
-        moments: (n,) moments of the path.
-        mount: (4, 4) pose of the sensor in the path's frame; None = the path's own.
-        recorded: The recorded path.
-        recorded_time_s: (m,) times of the recorded poses.
+    looks the same way, that one is taken: it saw the sides of things that the view shows. `mount` (4, 4) is
+    the sensor's pose in the path's frame; None = the path's own.
     """
     turned, place_m = path.at(moments)
     known_turned, known_m = recorded.at(recorded_time_s)
@@ -239,13 +223,9 @@ def plan_sweeps(
     *,
     has_footprint: bool = False,
 ) -> SweepPlan:
-    """The sweeps of a view.
+    """The sweeps of a view by a known sensor's name, one of one's own, or None, that of the drive.
 
-    Args:
-        view: Its instants and poses.
-        recorded_table: The sensor that recorded the drive.
-        sensor: A known sensor's name or one of one's own; None = the one that recorded the drive.
-        has_footprint: Whether its beams have the width of its table.
+    `has_footprint`: its beams have the width of its table.
 
     Raises:
         DataError: Beams are to have a width, and that of the recording sensor is not known.
@@ -274,10 +254,8 @@ def table_of(sensor: str | SensorEntry | None, recorded_table: LaserTable) -> La
 def view_path(view: ViewEntry, start_to_world: np.ndarray, scene_to_world: np.ndarray) -> Trajectory | None:
     """The path that a view's entry gives; None if it follows the recorded one.
 
-    Args:
-        view: The entry.
-        start_to_world: (4, 4) first recorded pose of the LiDAR: the frame `start`.
-        scene_to_world: (4, 4) pose of the scene's frame in the world.
+    Poses (4, 4) in the world are the LiDAR's first recorded one, the frame `start`, and that of the scene's
+    frame.
     """
     if view.is_on_recorded_path:
         return None

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from nvsf_core._types import Scalar
 from nvsf_core.models.family import Trained, family_of
-from nvsf_core.recipe import recipe_from_json
+from nvsf_core.recipe.presets import recipe_from_json
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.stages.checks.field import check_loss, check_rendering, check_weights

@@ -10,7 +10,7 @@ from nvsf_core.drives.catalogue import SceneEntry, home_from_environment, sensor
 from nvsf_core.drives.catalogue_views import read_view
 from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.errors import DataError
-from nvsf_core.recipe import Recipe
+from nvsf_core.recipe.base import Recipe
 from nvsf_core.stages.dataset import dataset_version, identity_of, is_there, source_checksums
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import finish_data_set, write_data_set

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from types import TracebackType
+from contextlib import AbstractContextManager
 from typing import Generic, TypeVar
 
 from nvsf_core.kernels.threads import other_threads
@@ -15,7 +15,7 @@ the thread that starts the GPU's kernels."""
 _Prepared = TypeVar("_Prepared")
 
 
-class Ahead(Generic[_Prepared]):
+class Ahead(AbstractContextManager, Generic[_Prepared]):
     """A step's input, prepared ahead: the same as if it were prepared when it is taken. A context.
 
     After a step that is repeated, or the first after a checkpoint, others follow than were prepared; then all
@@ -23,22 +23,12 @@ class Ahead(Generic[_Prepared]):
     """
 
     def __init__(self, prepare: Callable[[int], _Prepared]) -> None:
-        """Nothing is prepared before the first step.
-
-        Args:
-            prepare: Gives a step's input from its number, which alone decides it. Called by several threads.
-        """
+        """Prepare nothing before the first step; the number of a step alone decides its input."""
         self._prepare = prepare
         self._threads = other_threads(_MOST_THREADS)
         self._coming: deque[tuple[int, Future[_Prepared]]] = deque()
 
-    def __enter__(self) -> "Ahead[_Prepared]":
-        """Itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """End the threads; what was prepared is left aside."""
         self._threads.shutdown(cancel_futures=True)
 

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from nvsf_core.errors import DivergedError, StoreError
 from nvsf_core.kernels.threads import in_parts, use_threads
 from nvsf_core.losses.total import LossBreakdown
-from nvsf_core.recipe import TrainingSpec
+from nvsf_core.recipe.residual import TrainingSpec
 from nvsf_core.training.adam import Adam
 from nvsf_core.training.weight_average import WeightAverage
 
@@ -168,7 +168,9 @@ def train(
     started = time.perf_counter()
     record_every = _RECORD_EVERY if spec.steps >= _FEWEST_RECORDED * _RECORD_EVERY else 1
     while state.step < spec.steps:
-        _set_rates(state.optimiser, spec, state.step)
+        share = spec.final_share ** (state.step / max(1, spec.steps))
+        for group in state.optimiser.param_groups:
+            group["lr"] = group["initial_lr"] * share
         state.optimiser.zero_grad()
         generator_state = state.generator.get_state()
         is_due = state.step > first and time.perf_counter() - saved >= spec.checkpoint_s
@@ -321,9 +323,3 @@ def _is_averaged(spec: TrainingSpec, step: int) -> bool:
     """Whether the weights after a step are one of those whose mean is taken."""
     left = spec.steps - step
     return left < spec.averaged_share * spec.steps and left % _AVERAGE_EVERY == 0
-
-
-def _set_rates(optimiser: Adam, spec: TrainingSpec, step: int) -> None:
-    share = spec.final_share ** (step / max(1, spec.steps))
-    for group in optimiser.param_groups:
-        group["lr"] = group["initial_lr"] * share

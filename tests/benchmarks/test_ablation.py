@@ -13,7 +13,7 @@ from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.errors import DataError
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.models.paper.scene import training_frames
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.stages import STAGE_NAMES, run_named_stage
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.run import plan_run

@@ -16,7 +16,8 @@ from benchmarks.speed_error.sizes import SIZES, chosen_size
 from nvsf_core.drives.catalogue import SceneEntry, load_catalogue
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import FieldSpec, TrainingSpec
 from nvsf_core.reporting.speed_error import METRICS, Point, curve, pareto_front, read_runs
 from nvsf_core.reporting.speed_plots import speed_section
 from nvsf_core.stages import RunConfig, SceneRun, run_named_stage

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.data_sets import closed_loop, formats, odometry
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.view_entry import EXPORTS
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.stages.runner.run import SceneRun
 from nvsf_core.stages.runner.stage import RunConfig
 from nvsf_core.stores.arrays import write_arrays

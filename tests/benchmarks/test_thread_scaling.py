@@ -3,7 +3,7 @@
 import sys
 
 from benchmarks.lean import threads
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.thread_count import VARIABLE
 from tests.stages.lidar_drive import proven_drive
 

@@ -4,7 +4,7 @@ import json
 
 from benchmarks.kernels.voxel_walk import measure
 from benchmarks.tables.results_table import WALK_RESULTS, walk_table
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from tests.stages.lidar_drive import proven_drive
 
 

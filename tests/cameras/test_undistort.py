@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -29,8 +31,6 @@ def test_the_view_keeps_the_height_and_the_field_of_view() -> None:
     left = view.rays(np.array([-0.5, view.cy]))
     assert np.degrees(np.arctan2(-left[0], left[2])) == pytest.approx(45.0)
     assert perspective_view(REAL).width == 1000
-    with pytest.raises(ValueError, match="field of view"):
-        perspective_view(REAL, fov_deg=180.0)
 
 
 def test_a_straight_line_in_the_world_comes_out_straight() -> None:
@@ -48,7 +48,7 @@ def test_a_straight_line_in_the_world_comes_out_straight() -> None:
 
 
 def test_pixels_beyond_the_source_are_invalid_and_black() -> None:
-    view = perspective_view(SMALL, fov_deg=160.0)
+    view = replace(perspective_view(SMALL), fx=30.9, fy=30.9)  # 160 degrees
     narrow = MeiFisheye(2.2, 0.017, 1.65, 4e-4, 4e-4, 334.0, 334.0, 100.0, 175.0, 200, 350)
     undistorter = make_undistorter(narrow, view)
     seen = undistorter.apply(np.full((350, 200, 3), 200, np.uint8))

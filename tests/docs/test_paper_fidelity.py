@@ -9,12 +9,12 @@ import pytest
 
 from benchmarks.paper import gradient_mask
 from benchmarks.paper.parameters import counts, table
-from nvsf_core.recipe import PaperRecipe
 from nvsf_core.recipe.paper import (
     EncoderSpec,
     GradientLossSpec,
     PaperLosses,
     PaperOptimiser,
+    PaperRecipe,
     PaperSampling,
     ReferenceQuirks,
     RefinementSpec,

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from nvsf_core.encodings import (
+from nvsf_core.encodings.directions import (
     SPHERICAL_HARMONICS_OUTPUTS,
     frequency_encode,
-    frequency_outputs,
     spherical_harmonics,
 )
 from nvsf_core.errors import ShapeError
@@ -49,7 +48,7 @@ def test_frequencies_are_ordered_by_coordinate_octave_sine_cosine():
     x = torch.tensor([[0.3, -0.7]], dtype=torch.float64)
     expected = [f(2**k * math.pi * c) for c in (0.3, -0.7) for k in range(12) for f in (math.sin, math.cos)]
     encoded = frequency_encode(x, 12)
-    assert encoded.shape == (1, frequency_outputs(2, 12))
+    assert encoded.shape == (1, 2 * 2 * 12)
     assert encoded[0].tolist() == pytest.approx(expected, abs=1e-9)
 
 

@@ -2,8 +2,7 @@
 
 import torch
 
-from nvsf_core.encodings import HashGrid
-from nvsf_core.kernels import GridLayout
+from nvsf_core.kernels.encodings.hash_grid import GridLayout, HashGrid
 
 LAYOUT = GridLayout(levels=4, features=2, log2_table=12, base_resolution=4, finest_resolution=64)
 

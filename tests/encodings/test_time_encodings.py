@@ -5,10 +5,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nvsf_core.encodings import HashGrid, HashTime, HybridEncoding, Planes4D, cubic_basis, start_alike
+from nvsf_core.encodings.hash_time import HashTime, cubic_basis
+from nvsf_core.encodings.hybrid import HybridEncoding
+from nvsf_core.encodings.planes import Planes4D
 from nvsf_core.errors import RecipeError
-from nvsf_core.kernels import hash_grid_encode
-from nvsf_core.recipe import EncoderSpec, GridSpec, PlanesSpec, TimeGridSpec
+from nvsf_core.kernels.encodings.hash_grid import HashGrid, hash_grid_encode, start_alike
+from nvsf_core.recipe.paper import EncoderSpec, GridSpec, PlanesSpec, TimeGridSpec
 
 TIME = TimeGridSpec(slices=5, levels=3, log2_tables=(9, 8, 7), base_resolution=8, finest_resolution=64)
 PLANES = PlanesSpec(scales=(1, 2), features=4, space_resolution=5, time_resolution=4)

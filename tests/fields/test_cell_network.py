@@ -3,12 +3,13 @@
 import torch
 
 from nvsf_core.fields.layers import CellNetwork
+from nvsf_core.recipe.residual import PanoSpec
 
 FEATURES, OUTPUTS = 16, 2
 
 
 def untrained(seed: int) -> CellNetwork:
-    return CellNetwork(FEATURES, OUTPUTS, torch.Generator().manual_seed(seed), channels=20, layers=3)
+    return CellNetwork(FEATURES, OUTPUTS, PanoSpec(), torch.Generator().manual_seed(seed))
 
 
 def drawn(seed: int) -> CellNetwork:

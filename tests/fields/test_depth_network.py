@@ -5,7 +5,7 @@ from torch.nn import functional
 
 from nvsf_core.fields.depth_network import DepthNetwork
 from nvsf_core.kernels.images.plane_features import N_FEATURES
-from nvsf_core.recipe import CameraSpec
+from nvsf_core.recipe.residual import CameraSpec
 
 SPEC = CameraSpec(sources=2)
 

@@ -7,7 +7,7 @@ import torch
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField, surface_batch
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.recipe import FieldSpec
+from nvsf_core.recipe.residual import FieldSpec
 from nvsf_core.rendering.lidar import render_lidar, render_rays
 from nvsf_core.rendering.reproject import reproject_rays
 

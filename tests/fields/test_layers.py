@@ -7,10 +7,12 @@ import pytest
 import torch
 from torch import nn
 
+from nvsf_core.encodings.directions import frequency_encode
 from nvsf_core.fields.flow import applied
-from nvsf_core.fields.layers import Density, bias_free, colour_head, lidar_direction, lidar_head, network
+from nvsf_core.fields.layers import Density, Head, bias_free, network
 from nvsf_core.kernels.encodings.hash_grid import grid_layout
-from nvsf_core.recipe import FieldSpec, HeadsSpec, ReferenceQuirks
+from nvsf_core.recipe.paper import HeadsSpec, ReferenceQuirks
+from nvsf_core.recipe.residual import FieldSpec
 
 
 def _seeded() -> torch.Generator:
@@ -43,10 +45,10 @@ def test_corrections_are_exactly_zero_before_training_and_the_rest_is_not() -> N
 
 def test_a_head_gives_probabilities_and_broadcasts_directions_over_samples() -> None:
     spec = HeadsSpec()
-    head = lidar_head(spec, _seeded())
+    head = Head(6 * spec.lidar_frequencies, 1, spec, _seeded())
     direction = nn.functional.normalize(torch.randn(6, 1, 3, generator=_seeded()), dim=-1)
     geometry = torch.randn(6, 4, spec.geometry_features, generator=_seeded())
-    angles = lidar_direction(direction, spec)
+    angles = frequency_encode(0.5 * (direction + 1.0), spec.lidar_frequencies)
     assert angles.shape == (6, 1, 6 * spec.lidar_frequencies)
     found = head(angles, geometry)
     assert found.shape == (6, 4, 1) and ((found > 0.0) & (found < 1.0)).all()
@@ -55,10 +57,8 @@ def test_a_head_gives_probabilities_and_broadcasts_directions_over_samples() -> 
 
 def test_colours_have_three_channels() -> None:
     spec = HeadsSpec()
-    assert colour_head(spec, _seeded())(torch.zeros(2, 16), torch.zeros(2, spec.geometry_features)).shape == (
-        2,
-        3,
-    )
+    colour = Head(16, 3, spec, _seeded())(torch.zeros(2, 16), torch.zeros(2, spec.geometry_features))
+    assert colour.shape == (2, 3)
 
 
 def test_density_is_one_without_features_and_never_negative() -> None:

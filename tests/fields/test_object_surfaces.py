@@ -19,7 +19,7 @@ from nvsf_core.fields.lidar_field import (
     surface_batch,
 )
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.recipe import FieldSpec
+from nvsf_core.recipe.residual import FieldSpec
 from nvsf_core.rendering.lidar import render_rays
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import Trajectory

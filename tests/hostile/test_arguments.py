@@ -21,7 +21,7 @@ from nvsf_core.errors import (
 )
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics import lpips
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.rendering.warping import sample
 from nvsf_core.stages import plan_run, run_scene
 from nvsf_core.stages.runner.run import write_demo_where_absent

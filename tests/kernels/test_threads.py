@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 import torch
 from nvsf_core.clouds.open3d_room import load_open3d
 from nvsf_core.errors import MissingLibraryError
-from nvsf_core.kernels import GridLayout, hash_grid_encode
+from nvsf_core.kernels.encodings.hash_grid import GridLayout, hash_grid_encode
 
 try:
     load_open3d()  # brings a TBB that is too old for numba
@@ -33,7 +33,7 @@ WITHOUT_OPENMP = """
 import sys
 sys.modules["numba.np.ufunc.omppool"] = None  # as on a machine without libgomp1: its import fails
 import numba, torch
-from nvsf_core.kernels import GridLayout, hash_grid_encode
+from nvsf_core.kernels.encodings.hash_grid import GridLayout, hash_grid_encode
 from nvsf_core.kernels.threads import in_parts
 
 layout = GridLayout(levels=4, features=2, log2_table=12, base_resolution=4, finest_resolution=64)

@@ -5,22 +5,17 @@ import pytest
 import torch
 
 from nvsf_core.errors import RecipeError, ShapeError
-from nvsf_core.losses.gradient import (
-    double_gradient_mask,
-    gradient_mask,
-    mask_coverage,
-    single_gradient_mask,
-)
+from nvsf_core.losses.gradient import gradient_mask, mask_coverage
 from nvsf_core.sensors.linear_pano import LinearPano
 
 
 def test_masks_of_a_row_by_hand() -> None:
     row = torch.tensor([[10.0, 10.5, 11.25, 12.0, 30.0, 30.01, 0.0, 5.0]])
     # |g| = .5 .75 .75 18 .01 30.01 5 (5); changes .25 0 17.25 17.99 30 25.01 0 (0)
-    along_x, along_y = double_gradient_mask(row, 0.05)
+    along_x, along_y = gradient_mask(row, "double", 0.05)
     assert along_x[0].tolist() == [False, True, False, False, False, False, False, True]
     assert not along_y.any()
-    along_x, _ = single_gradient_mask(row, 0.05)
+    along_x, _ = gradient_mask(row, "single", 0.05)
     assert along_x[0].tolist() == [False, False, False, False, True, False, False, False]
 
 
@@ -36,20 +31,20 @@ def test_rows_are_columns_turned() -> None:
 
 def test_frames_are_masked_each_for_itself() -> None:
     panos = 10.0 + torch.rand(3, 5, 6, generator=torch.Generator().manual_seed(0))
-    together = double_gradient_mask(panos, 0.1)[0]
-    assert torch.equal(together, torch.stack([double_gradient_mask(pano, 0.1)[0] for pano in panos]))
+    together = gradient_mask(panos, "double", 0.1)[0]
+    assert torch.equal(together, torch.stack([gradient_mask(pano, "double", 0.1)[0] for pano in panos]))
 
 
 def test_a_pixel_without_return_is_never_inside() -> None:
-    assert not double_gradient_mask(torch.zeros(4, 4), 0.05)[0].any()
-    assert not single_gradient_mask(torch.zeros(4, 4), 0.05)[1].any()
+    assert not gradient_mask(torch.zeros(4, 4), "double", 0.05)[0].any()
+    assert not gradient_mask(torch.zeros(4, 4), "single", 0.05)[1].any()
 
 
 def test_a_lone_spike_passes_the_double_mask_but_an_edge_does_not() -> None:
     spike = torch.tensor([[10.0, 10.0, 10.0, 15.0, 10.0, 10.0, 10.0]])
-    assert double_gradient_mask(spike, 0.05)[0][0].tolist() == [True, False, True, False, True, True, True]
+    assert gradient_mask(spike, "double", 0.05)[0][0].tolist() == [True, False, True, False, True, True, True]
     edge = torch.tensor([[10.0, 10.0, 10.0, 15.0, 15.0, 15.0, 15.0]])
-    assert double_gradient_mask(edge, 0.05)[0][0].tolist() == [True, False, False, True, True, True, True]
+    assert gradient_mask(edge, "double", 0.05)[0][0].tolist() == [True, False, False, True, True, True, True]
 
 
 @pytest.mark.parametrize("kind", ["double", "single"])
@@ -62,9 +57,9 @@ def test_an_axis_of_one_pixel_has_no_gradient(kind, shape):
 def test_thresholds_and_shapes_are_checked() -> None:
     for bad in (0.0, -1.0, float("nan")):
         with pytest.raises(RecipeError):
-            double_gradient_mask(torch.ones(2, 2), bad)
+            gradient_mask(torch.ones(2, 2), "double", bad)
     with pytest.raises(ShapeError):
-        single_gradient_mask(torch.ones(3), 0.1)
+        gradient_mask(torch.ones(3), "single", 0.1)
 
 
 def test_coverage_counts_returns_by_band() -> None:

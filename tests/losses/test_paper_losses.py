@@ -13,7 +13,6 @@ from nvsf_core.losses.chamfer import (
     squared_nearest_distances,
 )
 from nvsf_core.losses.gradient import gradient_loss
-from nvsf_core.losses.image import squared_colour_error
 from nvsf_core.losses.lidar import absolute_range_error, squared_hit_error, squared_intensity_error
 from nvsf_core.losses.total import total_loss
 
@@ -28,8 +27,6 @@ def test_terms_of_a_ray_are_the_papers() -> None:
     dark = squared_intensity_error(torch.tensor([0.5, 0.9]), torch.tensor([0.25, 0.0]), returned)
     assert torch.equal(dark, torch.tensor([0.0625, 0.0]))
     assert torch.equal(squared_hit_error(torch.tensor([0.5, 0.25]), returned), torch.tensor([0.25, 0.0625]))
-    colour = squared_colour_error(torch.tensor([[0.0, 0.5, 1.0]]), torch.zeros(1, 3))
-    assert torch.equal(colour, torch.tensor([[0.0, 0.25, 1.0]]))
 
 
 def test_a_nan_at_a_dropped_ray_stays_visible() -> None:

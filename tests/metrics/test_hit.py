@@ -36,17 +36,17 @@ def test_every_cell_is_018_degrees_and_the_seam_stays_inside() -> None:
 def test_a_missing_turn_quarter_costs_a_quarter() -> None:
     truth = _on_ring((np.arange(2000) + 0.5) * 0.18)
     laser = np.zeros(2000, dtype=np.int16)
-    found = hit_cell_metrics(truth[500:], laser[500:], truth, laser, shape=(4, 2000))
+    found = hit_cell_metrics((truth[500:], laser[500:]), (truth, laser), shape=(4, 2000))
     assert found["hit_accuracy"].value == pytest.approx(1 - 500 / 8000)
     assert found["hit_accuracy"].n_valid == 8000
 
 
 def test_unknown_lasers_have_no_cells() -> None:
     points = _on_ring(np.array([10.0]))
-    unknown = hit_cell_metrics(points, np.array([0]), points, np.array([-1]), shape=(1, 2000))
+    unknown = hit_cell_metrics((points, np.array([0])), (points, np.array([-1])), shape=(1, 2000))
     assert math.isnan(unknown["hit_accuracy"].value)
     assert "1 returns is unknown" in unknown["hit_accuracy"].reason
-    more = hit_cell_metrics(points, np.array([7]), points, np.array([0]), shape=(4, 2000))
+    more = hit_cell_metrics((points, np.array([7])), (points, np.array([0])), shape=(4, 2000))
     assert "the sensor has 4" in more["hit_accuracy"].reason
 
 

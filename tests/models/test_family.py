@@ -12,7 +12,9 @@ from torch import Tensor, nn
 from nvsf_core.errors import RecipeError
 from nvsf_core.losses.total import total_loss
 from nvsf_core.models.family import ResumedPart, family_of, fit
-from nvsf_core.recipe import ABLATION, ENCODINGS, Recipe, TrainingSpec, preset
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.presets import ABLATION, ENCODINGS, preset
+from nvsf_core.recipe.residual import TrainingSpec
 from nvsf_core.training.loop import Step, TrainingState, fresh_state
 
 NAMES = ("lean", "quick", "smoke", "paper", "paper_cpu", "paper_smoke")

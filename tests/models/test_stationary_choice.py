@@ -9,7 +9,7 @@ import pytest
 from nvsf_core.demo.motion import EgoSpeed
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.models.holdout import choose_copying
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.stages.inputs import read_recording
 from tests.stages.lidar_drive import proven_drive

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 
 from benchmarks.numerics.cases.tolerances import EPS, SUM_EPS
-from nvsf_core.kernels import GridLayout, hash_grid_encode
 from nvsf_core.kernels.composite import composite_rays
+from nvsf_core.kernels.encodings.hash_grid import GridLayout, hash_grid_encode
 from nvsf_core.kernels.encodings.planes import planes_sample
 from nvsf_core.metrics.ssim import ssim
 from nvsf_core.training.weight_average import WeightAverage

@@ -6,7 +6,9 @@ from dataclasses import replace
 import pytest
 
 from nvsf_core.errors import RecipeError
-from nvsf_core.recipe import ABLATION, ENCODINGS, PaperRecipe, ResidualRecipe, preset, recipe_from_json
+from nvsf_core.recipe.paper import PaperRecipe
+from nvsf_core.recipe.presets import ABLATION, ENCODINGS, preset, recipe_from_json
+from nvsf_core.recipe.residual import ResidualRecipe
 
 PAPER_NAMES = ("paper", "paper_authors", "paper_cpu", "paper_same", "paper_separate_fused")
 NAMES = ("lean", "quick", "smoke", *PAPER_NAMES)

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.recipe import CameraSpec
+from nvsf_core.recipe.residual import CameraSpec
 from nvsf_core.rendering.camera_view import CameraView, camera_view, shown_images
 from nvsf_core.rendering.lidar_view import lidar_view
 from nvsf_core.rendering.pixel_support import holes, shown_by_others, without_holes

@@ -8,7 +8,7 @@ import torch
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.kernels.images.plane_features import N_FEATURES
-from nvsf_core.recipe import CameraSpec
+from nvsf_core.recipe.residual import CameraSpec
 from nvsf_core.rendering import plane_depth
 from nvsf_core.rendering.camera_view import (
     CameraView,

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.recipe import CameraSpec
+from nvsf_core.recipe.residual import CameraSpec
 from nvsf_core.rendering.camera_view import CameraView, camera_view, shown_images
 from nvsf_core.rendering.lidar_view import MovingPoints, lidar_view
 from nvsf_core.rendering.pixel_support import pixel_support

@@ -9,7 +9,7 @@ from nvsf_core.errors import ShapeError
 from nvsf_core.recipe.paper import PaperSampling
 from nvsf_core.sampling.error_map import ErrorMap
 from nvsf_core.sampling.patches import patch_pixels, uniform_corners
-from nvsf_core.sampling.pixels import sample_camera_pixels, sample_lidar_pixels, uniform_pixels
+from nvsf_core.sampling.pixels import sample_lidar_pixels, sample_pixels, uniform_pixels
 
 SHAPE = (6, 20)
 SAMPLING = PaperSampling(rays=64)
@@ -47,14 +47,14 @@ def test_even_corners_reach_every_place_of_the_image() -> None:
 
 
 def test_even_pixels_reach_the_whole_image_or_only_what_shows() -> None:
-    rows, columns = uniform_pixels((3, 4), 500, generator())
+    rows, columns = uniform_pixels(torch.ones(3, 4, dtype=torch.bool), 500, generator())
     assert len((rows * 4 + columns).unique()) == 12
     is_drawable = torch.zeros(3, 4, dtype=torch.bool)
     is_drawable[1, 2] = is_drawable[2, 3] = True
-    rows, columns = uniform_pixels((3, 4), 50, generator(), is_drawable)
+    rows, columns = uniform_pixels(is_drawable, 50, generator())
     assert set(zip(rows.tolist(), columns.tolist(), strict=True)) == {(1, 2), (2, 3)}
     with pytest.raises(ShapeError):
-        uniform_pixels((3, 4), 1, generator(), torch.zeros(3, 4, dtype=torch.bool))
+        uniform_pixels(torch.zeros(3, 4, dtype=torch.bool), 1, generator())
 
 
 @pytest.mark.parametrize("heuristic", [False, True])
@@ -78,8 +78,8 @@ def test_heuristic_and_patches_are_switches_of_their_own(heuristic: bool, patche
 
 def test_camera_pixels_follow_the_map_in_second_epochs_only() -> None:
     sampling = replace(SAMPLING, rays=12)
-    assert (sample_camera_pixels(sampling, 1, 0, spiked(), generator()).columns < 10).all()
-    assert (sample_camera_pixels(sampling, 2, 0, spiked(), generator()).columns >= 10).any()
+    assert (sample_pixels(sampling, 1, 0, spiked(), generator()).columns < 10).all()
+    assert (sample_pixels(sampling, 2, 0, spiked(), generator()).columns >= 10).any()
 
 
 def test_fewer_rays_than_a_patch_still_make_one() -> None:

@@ -9,7 +9,7 @@ from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField, surface_batch
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.recipe import FieldSpec
+from nvsf_core.recipe.residual import FieldSpec
 from nvsf_core.recording.drive import LidarRecording, Sweeps
 from nvsf_core.rendering.lidar import render_rays
 from nvsf_core.rendering.reproject import NEAR_M

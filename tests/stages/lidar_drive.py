@@ -6,7 +6,7 @@ from pathlib import Path
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.demo.motion import EgoSpeed
 from nvsf_core.drives.catalogue import SceneEntry
-from nvsf_core.recipe import Recipe
+from nvsf_core.recipe.base import Recipe
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stages.runner.run import SceneRun
 

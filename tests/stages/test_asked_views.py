@@ -17,7 +17,8 @@ from nvsf_core.errors import DataError, MissingLibraryError
 from nvsf_core.metrics.table import mean_rows
 from nvsf_core.metrics.trust.cues import AWAY, DENSITY, LASERS, ODOMETRY, PROTOCOL, SCORE, WRONG
 from nvsf_core.metrics.trust.verdict import Trust, verdicts
-from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import FieldSpec, TrainingSpec
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.stages import Outcome, mesh, novel_views, plan_run, run_named_stage, scene_metrics
 from nvsf_core.stages.flow import NOVEL_VIEWS, SCENE_METRICS

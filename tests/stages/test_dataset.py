@@ -11,7 +11,7 @@ import pytest
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
 from nvsf_core.errors import DataError, StoreError
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.rendering.rendered import Support
 from nvsf_core.simulation.raydrop import sharpen_hits
 from nvsf_core.simulation.scan import sample_scan

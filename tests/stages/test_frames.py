@@ -12,7 +12,7 @@ from nvsf_core.drives.plain.layout import PlainLayout
 from nvsf_core.drives.plain.writer import write_image_times
 from nvsf_core.errors import CheckFailedError, DataError
 from nvsf_core.geometry.se3 import pose_from_parts, pose_of_angles
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.stages import flow
 from nvsf_core.stages.imports.convert import import_drive
 from nvsf_core.stages.inputs import scene_frame

@@ -15,7 +15,8 @@ from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import DataError, DivergedError
 from nvsf_core.models.residual import lidar as residual_lidar
-from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import FieldSpec, TrainingSpec
 from nvsf_core.sensors.tables import HDL_64E
 from nvsf_core.stages import Outcome, plan_run, run_named_stage
 from nvsf_core.stages.inputs import read_evidence

@@ -19,7 +19,8 @@ from nvsf_core.drives.plain.writer import (
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import pose_of_angles
 from nvsf_core.models.baselines.reproject import depth_scans
-from nvsf_core.recipe import TrainingSpec, preset
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import TrainingSpec
 from nvsf_core.recording.drive import Recording, Sweeps
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E

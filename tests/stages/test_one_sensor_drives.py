@@ -14,7 +14,9 @@ from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.view_checks import require_views
 from nvsf_core.drives.view_parts import CameraEntry
 from nvsf_core.errors import DataError
-from nvsf_core.recipe import FieldSpec, PaperRecipe, TrainingSpec, preset
+from nvsf_core.recipe.paper import PaperRecipe
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import FieldSpec, TrainingSpec
 from nvsf_core.stages import STAGE_NAMES, Outcome, plan_run, run_named_stage, run_scene
 from nvsf_core.stages.benchmark_report import make_benchmark_report
 from nvsf_core.stages.inputs import read_recording

@@ -10,7 +10,7 @@ from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import StoreError
 from nvsf_core.geometry.se3 import pose_of_angles
 from nvsf_core.metrics.table import COLUMNS
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
 from nvsf_core.stages.scene_metrics import TABLE_NAME, run

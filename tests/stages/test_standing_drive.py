@@ -8,7 +8,8 @@ import pytest
 from nvsf_core.demo.motion import EgoSpeed
 from nvsf_core.metrics.protocols import Scan, lidar4d, project_scan
 from nvsf_core.models.baselines.reproject import reprojection
-from nvsf_core.recipe import FieldSpec, TrainingSpec, preset
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import FieldSpec, TrainingSpec
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.sweep_simulation import simulate_sweep
 from nvsf_core.stages import run_named_stage

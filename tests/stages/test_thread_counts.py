@@ -8,7 +8,10 @@ import pytest
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry
-from nvsf_core.recipe import CameraSpec, PanoSpec, PaperRecipe, Recipe, ResidualRecipe, TrainingSpec, preset
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.paper import PaperRecipe
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import CameraSpec, PanoSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.thread_count import VARIABLE
 

@@ -11,7 +11,7 @@ from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.writer import flat_fisheye
 from nvsf_core.errors import NvsfError
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.recipe.residual import ResidualRecipe
 from nvsf_core.stages.flow import UNDISTORTED
 from nvsf_core.stages.runner.stage import RunConfig, StageOutput, Task
 from nvsf_core.stores.arrays import read_arrays, read_attrs

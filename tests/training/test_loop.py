@@ -9,7 +9,7 @@ from torch import nn
 
 from nvsf_core.errors import DivergedError
 from nvsf_core.losses.total import LossBreakdown, total_loss
-from nvsf_core.recipe import TrainingSpec
+from nvsf_core.recipe.residual import TrainingSpec
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
 from nvsf_core.training import loop
 from nvsf_core.training.loop import Part, TrainingState, make_optimiser, side_by_side, train

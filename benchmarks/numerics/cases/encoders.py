@@ -14,9 +14,11 @@ from torch.nn.functional import grid_sample
 from benchmarks.numerics.cases.case import Case, Reading, largest, refused
 from benchmarks.numerics.cases.references import against, by_autograd
 from benchmarks.numerics.cases.tolerances import ELEMENTWISE_ULP, GRADIENT
-from nvsf_core.encodings import cubic_basis, frequency_encode, spherical_harmonics
+from nvsf_core.encodings.directions import frequency_encode, spherical_harmonics
+from nvsf_core.encodings.hash_time import cubic_basis
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.kernels import GridLayout, hash_grid_encode, planes_sample
+from nvsf_core.kernels.encodings.hash_grid import GridLayout, hash_grid_encode
+from nvsf_core.kernels.encodings.planes import planes_sample
 
 TITLE = "Encoders"
 _FINE = GridLayout(4, 2, 19, 16, 20_000)
@@ -171,7 +173,8 @@ def _basis() -> float:
     return max(wrong) / np.finfo(np.float64).eps
 
 
-_HASH, _PLANES, _FREQUENCY = "kernels.hash_grid_encode", "kernels.planes_sample", "encodings.frequency_encode"
+_HASH, _PLANES = "kernels.encodings.hash_grid.hash_grid_encode", "kernels.encodings.planes.planes_sample"
+_FREQUENCY = "encodings.directions.frequency_encode"
 _HARD, _ALLOWED = "cell borders ± 1 float, corners, faces, outside, ±inf", "of eps x resolution x difference"
 CASES = (
     Case(_HASH, f"1 cm cells in a 200 m box (20,000 a side): {_HARD}", lambda: _hash(_FINE), 1.0, _ALLOWED),
@@ -188,8 +191,8 @@ CASES = (
     Case(_FREQUENCY, "12 octaves, -1 to 1", lambda: _frequency(1.0), ELEMENTWISE_ULP, "ulp"),
     Case(_FREQUENCY, "12 octaves, ±3.4e38", lambda: _frequency(3.4e38), ELEMENTWISE_ULP, "ulp"),
     # A float32 direction is a unit vector to within an eps, and a harmonic of band 3 is a cubic of it.
-    Case("encodings.spherical_harmonics", "the whole sphere, its poles", _harmonics, 32.0, "eps"),
-    Case("encodings.cubic_basis", "t 0 to 1", _basis, ELEMENTWISE_ULP, "eps"),
-    Case("encodings.cubic_basis", "t = 1.01, NaN (outside)",
+    Case("encodings.directions.spherical_harmonics", "the whole sphere, its poles", _harmonics, 32.0, "eps"),
+    Case("encodings.hash_time.cubic_basis", "t 0 to 1", _basis, ELEMENTWISE_ULP, "eps"),
+    Case("encodings.hash_time.cubic_basis", "t = 1.01, NaN (outside)",
          refused(ValueError, lambda: cubic_basis(1.01), lambda: cubic_basis(math.nan))),
 )  # fmt: skip

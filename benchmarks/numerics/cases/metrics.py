@@ -130,7 +130,7 @@ def _hits(predicted: float, truth: bool) -> Mapping[str, Measure]:
 
 def _cells(points: float, laser: int) -> Mapping[str, Measure]:
     cloud = np.full((3, 3), points)
-    return hit_cell_metrics(cloud, np.zeros(3, int), cloud.copy(), np.full(3, laser), (4, 2000))
+    return hit_cell_metrics((cloud, np.zeros(3, int)), (cloud.copy(), np.full(3, laser)), (4, 2000))
 
 
 def _rays(predicted: float) -> Mapping[str, Measure]:

@@ -17,7 +17,7 @@ from nvsf_core.evidence.surfels import weighted_median_index
 from nvsf_core.fields.layers import Density
 from nvsf_core.kernels.composite import composite_rays
 from nvsf_core.losses.lidar import CLAMP_M, depth_loss
-from nvsf_core.recipe import HeadsSpec
+from nvsf_core.recipe.paper import HeadsSpec
 from nvsf_core.rendering.scaled_rays import ScaledRays
 from nvsf_core.rendering.volume import render_volume, uniform_samples, weights_from_optical_depth
 

@@ -19,7 +19,8 @@ from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.writer import write_frame_poses
 from nvsf_core.geometry.se3 import exp_se3, pose_from_parts, poses_in, transform_points
-from nvsf_core.recipe import FieldSpec, ResidualRecipe, TrainingSpec, preset
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import FieldSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.stages import STAGE_NAMES, plan_run, run_named_stage
 from nvsf_core.stages.inputs import read_evidence, scene_frame
 from nvsf_core.stores.arrays import read_arrays, read_attrs

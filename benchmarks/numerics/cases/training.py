@@ -12,12 +12,11 @@ from torch import Tensor, nn
 
 from benchmarks.numerics.cases.case import Case, Reading, largest, refused
 from benchmarks.numerics.cases.tolerances import EPS, SUM_EPS
-from nvsf_core.encodings import HashGrid
 from nvsf_core.errors import DivergedError
 from nvsf_core.fields.layers import network
-from nvsf_core.kernels import GridLayout
+from nvsf_core.kernels.encodings.hash_grid import GridLayout, HashGrid
 from nvsf_core.losses.total import LossBreakdown, total_loss
-from nvsf_core.recipe import TrainingSpec
+from nvsf_core.recipe.residual import TrainingSpec
 from nvsf_core.sampling.error_map import ErrorMap
 from nvsf_core.training.loop import Part, TrainingState, make_optimiser, train
 from nvsf_core.training.weight_average import WeightAverage

@@ -65,7 +65,6 @@ class Cluster:
     """One probably moving object in one scan."""
 
     scan: int
-    """Number of the scan."""
     members: np.ndarray
     """(k,) int64 indices of its returns among all returns."""
     time_s: float
@@ -149,15 +148,12 @@ def _groups(point_m: np.ndarray, label: np.ndarray) -> np.ndarray:
     cell = np.floor(point_m / _VOXEL_M).astype(np.int64)
     cell -= cell.min(axis=0)
     extent = cell.max(axis=0) + 1
-    key = (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
-    keys, voxel = np.unique(key, return_inverse=True)
+    keys, voxel = np.unique(np.ravel_multi_index(cell.T, extent), return_inverse=True)
     static_share = np.bincount(voxel, weights=label == STATIC) / np.bincount(voxel)
     kept = np.flatnonzero(static_share <= 0.5)
     group = np.full(len(keys), -1)
     if len(kept):
-        rest, z = np.divmod(keys[kept], extent[2])
-        x, y = np.divmod(rest, extent[1])
-        centre = np.stack([x, y, z], axis=1) * _VOXEL_M
+        centre = np.stack(np.unravel_index(keys[kept], extent), axis=1) * _VOXEL_M
         pairs = cKDTree(centre).query_pairs(_LINK_M + 1e-6, output_type="ndarray")
         links = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(kept),) * 2)
         group[kept] = connected_components(links, directed=False)[1]

@@ -48,8 +48,7 @@ class MovingObject:
         before = np.clip(np.searchsorted(self.time_s, time_s) - 1, 0, len(self.time_s) - 2)
         start_s = self.time_s[before]
         share = (time_s - start_s) / (self.time_s[before + 1] - start_s)
-        pose: np.ndarray = self.pose[before] + share[:, None] * (self.pose[before + 1] - self.pose[before])
-        return pose
+        return self.pose[before] + share[:, None] * (self.pose[before + 1] - self.pose[before])
 
     def without(self, scan: int | None) -> "MovingObject":
         """The path without one of its scans; itself where that scan did not see the object."""
@@ -136,8 +135,7 @@ class ObjectRays:
 
     def point_m(self, chosen: np.ndarray) -> np.ndarray:
         """Returns (m, 3) in the object's frame of chosen rays: their numbers (m,), or (n,) bool."""
-        point: np.ndarray = self.origin_m[chosen] + self.direction[chosen] * self.range_m[chosen, None]
-        return point
+        return self.origin_m[chosen] + self.direction[chosen] * self.range_m[chosen, None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,12 +178,8 @@ class ObjectEvidence:
     def scans_towards(self, time_s: float, from_m: np.ndarray, scans: np.ndarray) -> np.ndarray:
         """Scans (k,) and, if it is seen from elsewhere than by them, the at most 4 that saw it from there.
 
-        An instant that is seen from a place where the sensor came later shows sides that were recorded then.
-
-        Args:
-            time_s: Of the rays.
-            from_m: (3,) their mean origin, scene-local, metres.
-            scans: (k,) its scans that are used in any case; none of the others are left out.
+        An instant that is seen from a place, the mean origin (3,) of rays, scene-local metres, where the
+        sensor came later shows sides that were recorded then. None of its other scans is left out.
         """
         if len(scans) == 0:
             return scans
@@ -219,8 +213,7 @@ class ObjectEvidence:
             # Flow is stored between neighbouring scans only: here one between them was left out.
             if abs(places[second] - places[first]) != 1:
                 return flow_between(points[first], points[second])
-            stored: np.ndarray = flow_m[returns[first], int(second > first)]
-            return stored
+            return flow_m[returns[first], int(second > first)]
 
         origin_m = rays.origin_m.copy()
         moved = flow_to(points, self.path.time_s[places], time_s, step)
@@ -316,11 +309,10 @@ class NearHitPriors:
             table.elevation_rad.copy(), table.vertical_offset_m.copy(), table.horizontal_offset_m.copy(),
             (table.phase_steps - table.firing_shift_steps) * table.step_rad,
         )  # fmt: skip
-        found: np.ndarray = share_of_scans(
+        return share_of_scans(
             np.ascontiguousarray(place_o, np.float64), self.object_to_sensor, self.weight, lasers, self.scans,
             prior.fraction, prior.is_hit,
         )  # fmt: skip
-        return found
 
 
 _STEP_DEG = 1.0
@@ -332,8 +324,7 @@ _LEAST_SIDE_M = 0.1
 def boxes_on_way(one: ObjectEvidence) -> np.ndarray:
     """(k, 4, 4) from the unit cube, +-0.5, to the scene-local frame, metres, at each time of its path."""
     box = smallest_box(one.rays.point_m(one.rays.is_hit), way_ahead(one.path))
-    boxes: np.ndarray = one.path.matrix_at(one.path.time_s) @ box
-    return boxes
+    return one.path.matrix_at(one.path.time_s) @ box
 
 
 def way_ahead(path: MovingObject) -> np.ndarray:

@@ -54,14 +54,9 @@ class ObjectSurfels:
     ) -> np.ndarray:
         """Hit prior (r,) float32: share of its nearest scans with a return where the rays end on it.
 
-        It is looked up at the ray's end and not at a voxel's mean, because windows have edges finer than a
-        voxel.
-
-        Args:
-            found: Its surfaces along the rays, at least one each; the ray ends on the weighted median one.
-            origin_m: (r, 3) scene-local, metres.
-            direction: (r, 3) unit, scene-local axes.
-            time_s: (r,) instants of the rays.
+        Rays (r, 3) are scene-local, fired at times (r,); each has at least one surface, and ends on the
+        weighted median one. It is looked up at the ray's end and not at a voxel's mean, because windows have
+        edges finer than a voxel.
         """
         median = weighted_median_index(found.weights)
         range_m = found.range_m[np.arange(len(median)), median]
@@ -298,8 +293,7 @@ def _crossing(
     low_m, high_m = path.low_m - _MARGIN_M, path.high_m + _MARGIN_M
     axis, least_cosine = _cone(path, 0.5 * float(np.linalg.norm(high_m - low_m)), origin_m, time_s)
     box = MovingBounds(axis, least_cosine, *path.there_s, path.time_s, path.pose, low_m, high_m)
-    crossing: tuple[np.ndarray, np.ndarray, np.ndarray] = rays_into_bounds(origin_m, direction, time_s, box)
-    return crossing
+    return rays_into_bounds(origin_m, direction, time_s, box)
 
 
 def _cone(

@@ -85,11 +85,8 @@ def make_cloud(point_m: np.ndarray) -> Cloud:
 def register(clouds: list[Cloud], first: np.ndarray, second: np.ndarray, shift_m: np.ndarray) -> PairMotions:
     """Register pairs of clouds; pairs in which fewer than 30 % of the points find a partner are left out.
 
-    Args:
-        clouds: All clouds.
-        first: (p,) numbers of the clouds that moved.
-        second: (p,) numbers of the clouds they are registered to.
-        shift_m: (p, 3) first guess of the shifts; the first guess of every yaw is 0.
+    The clouds `first` (p,) moved onto the clouds `second` (p,), by numbers; `shift_m` (p, 3) is the first
+    guess of the shifts, that of every yaw is 0.
     """
     centre = np.array([cloud.centre_m for cloud in clouds])
     between = centre[second] - centre[first]
@@ -151,9 +148,9 @@ class Path:
             np.array(self.scan, np.int32), self.time_s, self.pose, frame_s, np.zeros(3), np.zeros(3)
         )
 
-    def shape(self, returns: TimedReturns) -> np.ndarray:
-        """Returns (k, 3) of all its scans in the object's frame, metres."""
-        members = np.concatenate(self.members)
+    def shape(self, returns: TimedReturns, scans: slice = slice(None)) -> np.ndarray:
+        """Returns (k, 3) of its scans in the object's frame, metres."""
+        members = np.concatenate(self.members[scans])
         moving = self.as_object(returns.frame_s)
         return moving.to_object(returns.point_m[members].astype(np.float64), returns.time_s[members])
 
@@ -221,8 +218,8 @@ def _find_in_scan(
     path: Path, returns: TimedReturns, above_ground: AboveGround, scan: int, *, forward: bool
 ) -> tuple[np.ndarray, float, np.ndarray] | None:
     """Members, mean time and pose of the object in a scan beyond the path's end; None where it is not."""
-    moving = _end(path, forward).as_object(returns.frame_s)
-    model_o = _model(path, returns, forward=forward)
+    part = slice(-_MODEL_SCANS, None) if forward else slice(0, _MODEL_SCANS)
+    moving, model_o = _as_step(path, part).as_object(returns.frame_s), path.shape(returns, part)
     margin = _REACH_M + np.abs(model_o).max(axis=0).max()
     time_s = float(returns.scan_time_s[scan])
     # The object is hit up to half a sweep before or after the scan's instant: look again at that time.
@@ -253,25 +250,16 @@ def _find_in_scan(
     return members, time_s, pose
 
 
-def _end(path: Path, forward: bool) -> Path:
-    """The path's last, or first, scans as one straight step, from which the velocity is predicted."""
-    part = slice(-_MODEL_SCANS, None) if forward else slice(0, _MODEL_SCANS)
+def _as_step(path: Path, part: slice) -> Path:
+    """Some of the path's scans as one straight step, from which the velocity is predicted."""
     time_s, pose = path.time_s[part][[0, -1]], path.pose[part][[0, -1]]
     return Path([path.scan[part][0], path.scan[part][-1]], [], time_s, pose)
-
-
-def _model(path: Path, returns: TimedReturns, *, forward: bool) -> np.ndarray:
-    """Returns (k, 3) of the path's last, or first, scans in the object's frame."""
-    moving = path.as_object(returns.frame_s)
-    members = np.concatenate(path.members[-_MODEL_SCANS:] if forward else path.members[:_MODEL_SCANS])
-    return moving.to_object(returns.point_m[members].astype(np.float64), returns.time_s[members])
 
 
 def _to_scene(point_o: np.ndarray, pose: np.ndarray) -> np.ndarray:
     cosine, sine = np.cos(pose[3]), np.sin(pose[3])
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    scene: np.ndarray = point_o @ turn.T + pose[:3]
-    return scene
+    return point_o @ turn.T + pose[:3]
 
 
 def _clouds(path: Path, returns: TimedReturns) -> list[Cloud]:

@@ -58,19 +58,12 @@ def flow_between(source_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
 def flow_to(
     clouds: Sequence[np.ndarray], cloud_time_s: np.ndarray, time_s: float, step: Step
 ) -> list[np.ndarray]:
-    """Displacement of the returns of several scans from their own instants to a given one.
+    """Displacements (n, 3) float32, metres, of the returns of scans from their own instants to a given one.
 
     Returns of the two scans around the instant move in proportion to time. Returns of earlier and later scans
-    first move to the next scan towards the instant, then on as that scan's returns do.
-
-    Args:
-        clouds: Of each scan (n, 3), n >= 1, in the object's frame, in order of time.
-        cloud_time_s: (k,) ascending instants of the scans.
-        time_s: The instant; before the first or after the last scan, that scan's own instant is used.
-        step: Gives the flow between scans that are neighbours in time.
-
-    Returns:
-        For each cloud (n, 3) float32 metres.
+    first move to the next scan towards the instant, then on as that scan's returns do. Clouds (n, 3), n >= 1,
+    are in the object's frame, of scans at ascending instants (k,); before the first or after the last, that
+    scan's own instant is used. `step` gives the flow between neighbours in time.
     """
     moved: list[np.ndarray] = [np.zeros((len(cloud), 3), np.float32) for cloud in clouds]
     if len(clouds) < 2:

@@ -59,11 +59,9 @@ class TimedReturns:
     scan_time_s: np.ndarray
     """(n,) float64: instants of the scans' poses, ascending."""
     trajectory: Trajectory
-    """Poses of the sensor."""
     period_s: float
     """Seconds of one sweep; 0 where all rays were put at the pose's instant."""
     table: LaserTable
-    """The sensor."""
     elevation_correction_rad: float
     """Angle by which rays were turned up."""
     clocks: tuple[SweepClock, ...] = ()
@@ -119,7 +117,6 @@ class GroundMap:
     height_m: np.ndarray
     """(a, b) float32, scene-local z in metres, by x and y cell."""
     cell_m: float = CELL_M
-    """Side of a cell."""
 
     def above(self, point_m: np.ndarray) -> np.ndarray:
         """Heights (N,) float32 metres of scene-local points (N, 3) above the ground of the nearest cell."""
@@ -193,14 +190,7 @@ class AboveGround:
     def loose_near(
         self, returns: TimedReturns, scan: int, low_m: np.ndarray, high_m: np.ndarray
     ) -> np.ndarray:
-        """Returns (k,) int64 of a scan in a scene-local box that are not labelled static.
-
-        Args:
-            returns: All training returns.
-            scan: Number of the scan.
-            low_m: (3,) lower corner.
-            high_m: (3,) upper corner.
-        """
+        """Returns (k,) int64 of a scan in a scene-local box, by its corners (3,), that are not static."""
         index, label = self.of_scan(scan)
         index = index[label != STATIC]
         point = returns.point_m[index]

@@ -1,7 +1,5 @@
 """What encodings share: the choice of the kernel by the tensors' device and type, and its gradients."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
@@ -12,8 +10,6 @@ from torch import Tensor
 
 from nvsf_core.errors import ShapeError
 
-__all__ = ["Backend", "Kernels", "choose_backend", "interpolate", "require_backend"]
-
 Backend = Literal["torch", "numba", "triton"]
 
 
@@ -21,7 +17,6 @@ class Kernels(NamedTuple):
     """An encoding of n points by a table of features, with sizes given, and its gradients."""
 
     backend: Backend
-    """Whose they are."""
     encode: Callable[[Tensor, Tensor], Tensor]
     """Features (n, f) of points (n, d) and a table."""
     position_adjoint: Callable[[Tensor, Tensor, Tensor], Tensor]

@@ -1,7 +1,5 @@
 """Multiresolution hash grids: memory layout, encoding by a kernel for device and type, trainable table."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import ceil
@@ -18,9 +16,7 @@ from nvsf_core.kernels.encodings.backend import (
     interpolate,
     require_backend,
 )
-from nvsf_core.recipe import FieldSpec
-
-__all__ = ["PRIMES", "GridLayout", "HashGrid", "grid_layout", "hash_grid_encode", "start_alike"]
+from nvsf_core.recipe.residual import FieldSpec
 
 PRIMES = (1, 2654435761, 805459861)
 """Factors of the XOR hash for x, y, z (Müller et al. 2022, eq. 4; after Teschner et al. 2003)."""
@@ -154,9 +150,9 @@ def hash_grid_encode(
     _require_shapes(positions, table, layout)
     backend = backend or choose_backend(positions, table)
     if backend == "torch":
-        from nvsf_core.kernels.encodings import hash_grid_torch
+        from nvsf_core.kernels.encodings import oracles_torch
 
-        return hash_grid_torch.encode(positions, table, layout)
+        return oracles_torch.encode(positions, table, layout)
     require_backend(backend, positions, table, what=("hash_grid_encode", "positions", "table"))
     # Importing numba takes 0.3 s, not every machine has Triton: each is imported where it is used.
     if backend == "numba":
@@ -213,13 +209,10 @@ class HashGrid(nn.Module):
         table: (layout.entries, layout.features) float32, initially U(-1e-4, 1e-4).
     """
 
-    def __init__(
-        self, layout: GridLayout, generator: torch.Generator, backend: Backend | None = None
-    ) -> None:
-        """Sample the table's initial numbers on the CPU; `backend` overrides the kernel, for tests."""
+    def __init__(self, layout: GridLayout, generator: torch.Generator) -> None:
+        """Sample the table's initial numbers on the CPU."""
         super().__init__()
         self.layout = layout
-        self.backend = backend
         shape = (layout.entries, layout.features)
         if torch.get_default_device().type == "meta":  # shapes without memory, to count parameters
             table = torch.empty(shape)
@@ -236,8 +229,7 @@ class HashGrid(nn.Module):
     def forward(self, positions: Tensor) -> Tensor:
         """Encode positions (..., layout.dimensions), clamped to [0, 1], as (..., levels * features)."""
         flat = positions.reshape(-1, self.layout.dimensions)
-        encoded = hash_grid_encode(flat, self.table, self.layout, backend=self.backend)
-        return encoded.reshape(*positions.shape[:-1], self.outputs)
+        return hash_grid_encode(flat, self.table, self.layout).reshape(*positions.shape[:-1], self.outputs)
 
 
 def start_alike(module: nn.Module) -> None:

@@ -5,8 +5,6 @@ the adjoint is parallel over levels, never over points, and adds a level's point
 compute the corners: that takes a tenth of the time, while storing them would move 64 bytes a point and level.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 
@@ -16,20 +14,16 @@ import torch
 from numba import prange
 from torch import Tensor
 
-from nvsf_core.kernels.encodings import hash_grid_torch
+from nvsf_core.kernels.encodings import oracles_torch
 from nvsf_core.kernels.encodings.corners_numba import (
     BLOCK,
     axis_by_axis,
-    combine,
     compiled,
     corner_scratch,
-    neutral_axes,
-    place,
+    place_corners,
 )
 from nvsf_core.kernels.encodings.hash_grid import PRIMES, GridLayout
 from nvsf_core.kernels.encodings.rows_numba import copy_row, gather, scatter
-
-__all__ = ["adjoint", "encode", "position_adjoint"]
 
 # Points that one level is computed for before the next, so that the level's part of the table stays cached;
 # few enough for their rows of all levels to stay in the second-level cache until they are reordered.
@@ -47,10 +41,9 @@ def _forward_for(features: int, dimensions: int) -> Any:
         points: Any, chunk_points: Any, out: Any,
     ) -> None:  # fmt: skip
         # Read from an array: constants would be unrolled, and compiling would take twice as long.
-        levels, axis_count = factors.shape
+        levels = factors.shape[0]
         for chunk in prange((points + chunk_points - 1) // chunk_points):
-            key, share = neutral_axes()
-            entry, weight = corner_scratch(8)
+            scratch = corner_scratch(8)
             begin = chunk * chunk_points
             end = min(begin + chunk_points, points)
             rows = np.empty(levels * chunk_points * features, np.float32)
@@ -58,12 +51,10 @@ def _forward_for(features: int, dimensions: int) -> Any:
                 part = table[offsets[level] * features : offsets[level + 1] * features]
                 for first in range(begin, end, BLOCK):
                     count = min(BLOCK, end - first)
-                    for axis in range(axis_count):
-                        place(
-                            axes, axis * points + first, count, axis, scales[level], _HALF, lasts[level],
-                            factors[level, axis], key, share,
-                        )  # fmt: skip
-                    combine(key, share, count, axis_count, dense[level], mask, entry, weight)
+                    entry, weight = place_corners(
+                        axes, points, first, count, scales[level], _HALF, lasts[level], factors[level],
+                        dense[level], mask, scratch,
+                    )  # fmt: skip
                     for i in range(count):
                         start = (level * chunk_points + first - begin + i) * features
                         gather(part, entry, weight, i, rows, start, corners, BLOCK, features, features)
@@ -86,7 +77,7 @@ def _adjoint_for(features: int, dimensions: int) -> Any:
         points: Any, workers: Any, grad_table: Any,
     ) -> None:  # fmt: skip
         # Read from an array: constants would be unrolled, and compiling would take twice as long.
-        levels, axis_count = factors.shape
+        levels = factors.shape[0]
         rows = np.empty(levels * points * features, np.float32)
         for block in prange((points + BLOCK - 1) // BLOCK):
             for level in range(levels):
@@ -96,8 +87,7 @@ def _adjoint_for(features: int, dimensions: int) -> Any:
         # Each worker has whole levels, so no two write the same entry. Levels are assigned forwards, then
         # backwards, because finer ones take longer (more cache misses).
         for worker in prange(workers):
-            key, share = neutral_axes()
-            entry, weight = corner_scratch(8)
+            scratch = corner_scratch(8)
             for level in range(levels):
                 turn = level % (2 * workers)
                 if min(turn, 2 * workers - 1 - turn) != worker:
@@ -105,12 +95,10 @@ def _adjoint_for(features: int, dimensions: int) -> Any:
                 part = grad_table[offsets[level] * features : offsets[level + 1] * features]
                 for first in range(0, points, BLOCK):
                     count = min(BLOCK, points - first)
-                    for axis in range(axis_count):
-                        place(
-                            axes, axis * points + first, count, axis, scales[level], _HALF, lasts[level],
-                            factors[level, axis], key, share,
-                        )  # fmt: skip
-                    combine(key, share, count, axis_count, dense[level], mask, entry, weight)
+                    entry, weight = place_corners(
+                        axes, points, first, count, scales[level], _HALF, lasts[level], factors[level],
+                        dense[level], mask, scratch,
+                    )  # fmt: skip
                     for i in range(count):
                         start = (level * points + first + i) * features
                         scatter(part, entry, weight, i, rows, start, corners, BLOCK, features, features)
@@ -120,16 +108,17 @@ def _adjoint_for(features: int, dimensions: int) -> Any:
 
 @cache
 def _level_arrays(layout: GridLayout) -> tuple[Any, ...]:
-    """Of each level: scale, last grid point, factors of the axes, whether dense, offset; and the hash mask.
+    """Scale, last grid point and factor by level and axis; whether dense and offset by level; the hash mask.
 
     A lower grid point is never past the last: floor(scale + 0.5) <= ceil(scale). Hashed levels have no last.
     """
     sizes = tuple(zip(layout.resolutions, layout.is_dense, strict=True))
     factors = [(1, size, size * size) if dense else PRIMES for size, dense in sizes]
+    axes, lasts = layout.dimensions, [size - 1 if dense else 0xFFFFFFFF for size, dense in sizes]
     return (
-        np.array(layout.scales, dtype=np.float32),
-        np.array([size - 1 if dense else 0xFFFFFFFF for size, dense in sizes], dtype=np.uint32),
-        np.array(factors, dtype=np.uint32)[:, : layout.dimensions].copy(),
+        np.array([layout.scales] * axes, dtype=np.float32).T.copy(),
+        np.array([lasts] * axes, dtype=np.uint32).T.copy(),
+        np.array(factors, dtype=np.uint32)[:, :axes].copy(),
         np.array(layout.is_dense, dtype=np.bool_),
         np.array(layout.offsets, dtype=np.int64),
         np.uint32(layout.table_entries - 1),
@@ -139,7 +128,7 @@ def _level_arrays(layout: GridLayout) -> tuple[Any, ...]:
 def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
     """Encode float32 CPU positions (n, dimensions) with a float32 table, without autograd.
 
-    Arguments and result as in `nvsf_core.kernels.hash_grid_encode`.
+    Arguments and result as in `hash_grid.hash_grid_encode`.
     """
     points = positions.shape[0]
     blocks_a_thread = -(-points // (BLOCK * numba.get_num_threads()))
@@ -156,15 +145,10 @@ def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
 
 
 def adjoint(positions: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
-    """Gradient of the table from the gradient of the encoding.
+    """Gradient of the table (layout.entries, layout.features), bit-identical for every thread count.
 
-    Args:
-        positions: (n, dimensions) float32 on the CPU.
-        grad: (n, levels * features) float32 on the CPU.
-        layout: Sizes of the grid.
-
-    Returns:
-        (layout.entries, layout.features) float32; bit-identical for every thread count.
+    From float32 positions (n, dimensions) and the gradient (n, levels * features) float32 of the encoding, on
+    the CPU.
     """
     # numpy, unlike torch, requests huge pages: clearing tens of MB takes a quarter of the time
     grad_table = np.zeros((layout.entries, layout.features), dtype=np.float32)
@@ -180,15 +164,8 @@ def adjoint(positions: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
 
 
 def position_adjoint(positions: Tensor, table: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
-    """Gradient (n, dimensions) of the positions, by the torch oracle.
-
-    Args:
-        positions: (n, dimensions) on the CPU.
-        table: (layout.entries, layout.features).
-        grad: (n, levels * features).
-        layout: Sizes of the grid.
-    """
+    """Gradient (n, dimensions) of the positions, by the torch oracle; arguments as in `hash_grid_triton`."""
     with torch.enable_grad():
         moved = positions.detach().requires_grad_()
-        encoded = hash_grid_torch.encode(moved, table.detach(), layout)
+        encoded = oracles_torch.encode(moved, table.detach(), layout)
         return torch.autograd.grad(encoded, moved, grad)[0]

@@ -26,8 +26,6 @@ from torch import Tensor
 
 from nvsf_core.kernels.encodings.hash_grid import PRIMES, GridLayout
 
-__all__ = ["add", "adjoint", "encode", "is_interpreted", "position_adjoint", "store_unclamped"]
-
 _PRIME_Y = tl.constexpr(PRIMES[1])
 _PRIME_Z = tl.constexpr(PRIMES[2])
 # Points of a program. The programs are along the launch grid's first axis, which allows 2^31 of them: one
@@ -203,7 +201,7 @@ def is_interpreted() -> bool:
 def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
     """Encode float32 positions (n, dimensions) with a float32 table, without autograd.
 
-    Arguments and result as in `nvsf_core.kernels.hash_grid_encode`.
+    Arguments and result as in `hash_grid.hash_grid_encode`.
     """
     out = torch.empty(positions.shape[0], layout.outputs, dtype=torch.float32, device=positions.device)
     _launch(_forward, layout, layout.levels, positions, table, target=out)
@@ -211,15 +209,9 @@ def encode(positions: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
 
 
 def adjoint(positions: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
-    """Gradient of the table from the gradient of the encoding.
+    """Gradient (layout.entries, layout.features) float32 of the table; its last bits differ between runs.
 
-    Args:
-        positions: (n, dimensions) float32 on the device.
-        grad: (n, levels * features) float32 on the same device.
-        layout: Sizes of the grid.
-
-    Returns:
-        (layout.entries, layout.features) float32; its last bits differ between runs.
+    From float32 positions (n, dimensions) and the gradient (n, levels * features) float32 of the encoding.
     """
     out = torch.zeros(layout.entries, layout.features, dtype=torch.float32, device=positions.device)
     _launch(_table_adjoint, layout, layout.levels, positions, grad, target=out)
@@ -229,11 +221,8 @@ def adjoint(positions: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
 def position_adjoint(positions: Tensor, table: Tensor, grad: Tensor, layout: GridLayout) -> Tensor:
     """Gradient (n, dimensions) float32 of the positions; 0 along clamped axes.
 
-    Args:
-        positions: (n, dimensions) float32 on the device.
-        table: (layout.entries, layout.features) float32 on the same device.
-        grad: (n, levels * features) float32 on the same device, gradient of the encoding.
-        layout: Sizes of the grid.
+    From float32 positions (n, dimensions), table (layout.entries, layout.features) and gradient (n, levels *
+    features) of the encoding.
     """
     out = torch.empty_like(positions, memory_format=torch.contiguous_format)
     _launch(_position_adjoint, layout, 1, positions, table, grad, target=out)

@@ -1,7 +1,5 @@
 """Bilinear interpolation in feature planes: one function, which chooses the kernel by device and type."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from nvsf_core.errors import ShapeError
@@ -12,8 +10,6 @@ from nvsf_core.kernels.encodings.backend import (
     interpolate,
     require_backend,
 )
-
-__all__ = ["planes_sample"]
 
 
 def planes_sample(coordinates: Tensor, plane: Tensor, backend: Backend | None = None) -> Tensor:
@@ -39,9 +35,9 @@ def planes_sample(coordinates: Tensor, plane: Tensor, backend: Backend | None = 
     _require_shapes(coordinates, plane)
     backend = backend or choose_backend(coordinates, plane)
     if backend == "torch":
-        from nvsf_core.kernels.encodings import planes_torch
+        from nvsf_core.kernels.encodings import oracles_torch
 
-        return planes_torch.sample(coordinates, plane)
+        return oracles_torch.sample(coordinates, plane)
     require_backend(backend, coordinates, plane, what=("planes_sample", "coordinates", "a plane"))
     # Importing numba takes 0.3 s, not every machine has Triton: each is imported where it is used.
     if backend == "numba":

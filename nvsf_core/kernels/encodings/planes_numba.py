@@ -9,8 +9,6 @@ gradient of the coordinates, by which a loss moves points (the paper's flow), is
 with a sum of its own.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 
@@ -22,15 +20,11 @@ from torch import Tensor
 from nvsf_core.kernels.encodings.corners_numba import (
     BLOCK,
     axis_by_axis,
-    combine,
     compiled,
     corner_scratch,
-    neutral_axes,
-    place,
+    place_corners,
 )
 from nvsf_core.kernels.encodings.rows_numba import gather, scatter
-
-__all__ = ["adjoint", "coordinate_adjoint", "sample"]
 
 _CORNERS = 4
 _NO_SHIFT = np.float32(0.0)
@@ -43,16 +37,12 @@ def _forward_for(features: int) -> Any:
 
     def forward(axes: Any, plane: Any, scales: Any, lasts: Any, factors: Any, points: Any, out: Any) -> None:
         for block in prange((points + BLOCK - 1) // BLOCK):
-            key, share = neutral_axes()
-            entry, weight = corner_scratch(_CORNERS)
+            scratch = corner_scratch(_CORNERS)
             first = block * BLOCK
             count = min(BLOCK, points - first)
-            for axis in range(factors.shape[0]):
-                place(
-                    axes, axis * points + first, count, axis, scales[axis], _NO_SHIFT, lasts[axis],
-                    factors[axis], key, share,
-                )  # fmt: skip
-            combine(key, share, count, factors.shape[0], True, _NO_MASK, entry, weight)
+            entry, weight = place_corners(
+                axes, points, first, count, scales, _NO_SHIFT, lasts, factors, True, _NO_MASK, scratch
+            )
             for i in range(count):
                 start = (first + i) * features
                 gather(plane, entry, weight, i, out, start, _CORNERS, BLOCK, features, features)
@@ -68,17 +58,13 @@ def _adjoint_for(features: int, group: int) -> Any:
         axes: Any, grad: Any, scales: Any, lasts: Any, factors: Any, points: Any, grad_plane: Any
     ) -> None:
         for part in prange(features // group):
-            key, share = neutral_axes()
-            entry, weight = corner_scratch(_CORNERS)
+            scratch = corner_scratch(_CORNERS)
             plane = grad_plane[part * group :]
             for first in range(0, points, BLOCK):
                 count = min(BLOCK, points - first)
-                for axis in range(factors.shape[0]):
-                    place(
-                        axes, axis * points + first, count, axis, scales[axis], _NO_SHIFT, lasts[axis],
-                        factors[axis], key, share,
-                    )  # fmt: skip
-                combine(key, share, count, factors.shape[0], True, _NO_MASK, entry, weight)
+                entry, weight = place_corners(
+                    axes, points, first, count, scales, _NO_SHIFT, lasts, factors, True, _NO_MASK, scratch
+                )
                 for i in range(count):
                     start = (first + i) * features + part * group
                     scatter(plane, entry, weight, i, grad, start, _CORNERS, BLOCK, features, group)
@@ -95,7 +81,7 @@ def _axis_arrays(height: int, width: int) -> tuple[Any, ...]:
 def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
     """Interpolate in a float32 CPU plane (features, height, width) at (n, 2), without autograd.
 
-    Arguments and result as in `nvsf_core.kernels.planes_sample`.
+    Arguments and result as in `planes.planes_sample`.
     """
     features, height, width = plane.shape
     points = coordinates.shape[0]
@@ -111,15 +97,9 @@ def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
 
 
 def adjoint(coordinates: Tensor, grad: Tensor, shape: torch.Size) -> Tensor:
-    """Gradient of the plane from the gradient of the result.
+    """Gradient (features, height, width) float32 of the plane, bit-identical for every thread count.
 
-    Args:
-        coordinates: (n, 2) float32 on the CPU.
-        grad: (n, features) float32 on the CPU.
-        shape: (features, height, width) of the plane.
-
-    Returns:
-        (features, height, width) float32; bit-identical for every thread count.
+    From float32 coordinates (n, 2) and the gradient (n, features) float32 of the result, on the CPU.
     """
     features, height, width = shape
     grad_plane = np.zeros((height, width, features), dtype=np.float32)
@@ -176,15 +156,10 @@ def _slope_for(feature_count: int) -> Any:
 
 
 def coordinate_adjoint(coordinates: Tensor, plane: Tensor, grad: Tensor) -> Tensor:
-    """Gradient of the coordinates from the gradient of the result.
+    """Gradient (n, 2) float32 of the coordinates, bit-identical for every thread count.
 
-    Args:
-        coordinates: (n, 2) float32 on the CPU.
-        plane: (features, height, width) float32 on the CPU.
-        grad: (n, features) float32 on the CPU.
-
-    Returns:
-        (n, 2) float32; bit-identical for every thread count.
+    From float32 coordinates (n, 2), plane (features, height, width) and gradient (n, features) of the result,
+    on the CPU.
     """
     features, height, width = plane.shape
     out = np.empty(tuple(coordinates.shape), dtype=np.float32)

@@ -15,9 +15,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from nvsf_core.kernels.encodings.hash_grid_triton import add, is_interpreted, store_unclamped
-
-__all__ = ["adjoint", "coordinate_adjoint", "is_interpreted", "sample"]
+from nvsf_core.kernels.encodings.hash_grid_triton import add, store_unclamped
 
 _BLOCK = 128
 _AXES = tl.constexpr(2)
@@ -109,7 +107,7 @@ def _coordinate_adjoint(
 def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
     """Interpolate in a float32 plane (features, height, width) at float32 (n, 2), without autograd.
 
-    Arguments and result as in `nvsf_core.kernels.planes_sample`.
+    Arguments and result as in `planes.planes_sample`.
     """
     out = torch.empty(coordinates.shape[0], plane.shape[0], dtype=torch.float32, device=plane.device)
     _launch(_forward, plane.shape, coordinates, _features_last(plane), target=out)
@@ -117,15 +115,9 @@ def sample(coordinates: Tensor, plane: Tensor) -> Tensor:
 
 
 def adjoint(coordinates: Tensor, grad: Tensor, shape: torch.Size) -> Tensor:
-    """Gradient of the plane from the gradient of the result.
+    """Gradient of the plane, a float32 view of its `shape`; its last bits differ between runs.
 
-    Args:
-        coordinates: (n, 2) float32 on the device.
-        grad: (n, features) float32 on the same device.
-        shape: (features, height, width) of the plane.
-
-    Returns:
-        A float32 view of that shape; its last bits differ between runs.
+    From float32 coordinates (n, 2) and the gradient (n, features) float32 of the result.
     """
     features, height, width = shape
     out = torch.zeros(height, width, features, dtype=torch.float32, device=grad.device)
@@ -136,10 +128,7 @@ def adjoint(coordinates: Tensor, grad: Tensor, shape: torch.Size) -> Tensor:
 def coordinate_adjoint(coordinates: Tensor, plane: Tensor, grad: Tensor) -> Tensor:
     """Gradient (n, 2) float32 of the coordinates; 0 along clamped axes.
 
-    Args:
-        coordinates: (n, 2) float32 on the device.
-        plane: (features, height, width) float32 on the same device.
-        grad: (n, features) float32 on the same device.
+    From float32 coordinates (n, 2), plane (features, height, width) and gradient (n, features) of the result.
     """
     out = torch.empty_like(coordinates, memory_format=torch.contiguous_format)
     _launch(_coordinate_adjoint, plane.shape, coordinates, _features_last(plane), grad, target=out)

@@ -4,13 +4,9 @@ numba does not vectorise a loop over two or four features, because it cannot pro
 not the table that is read. Here the two rows of neighbours in x are one vector, which halves the number of
 loads and sums. Products and sums are single IEEE operations, without fused multiply-add. A gather adds all
 lower rows and all upper rows, then both; the torch oracle has another order.
-
-numba's cache ignores changes of this file: after one, touch the kernels that call it.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped,unused-ignore]
@@ -18,8 +14,6 @@ from numba.core import types
 from numba.extending import intrinsic
 
 from nvsf_core.kernels.encodings.corners_numba import AHEAD
-
-__all__ = ["copy_row", "gather", "scatter"]
 
 _FLOAT = ir.FloatType()
 _BYTES = ir.IntType(8).as_pointer()
@@ -35,7 +29,7 @@ def _row(builder: Any, array: Any, start: Any, width: int) -> Any:
 
 
 def _pair_start(builder: Any, point: Any, corner: int, block: int) -> Any:
-    """Index of a point's pair of corners `corner` and `corner + 1` in the arrays of `combine`."""
+    """Index of a point's pair of corners `corner` and `corner + 1` in the arrays of `place_corners`."""
     return builder.add(builder.shl(point, point.type(1)), point.type(corner * block))
 
 
@@ -78,6 +72,19 @@ def _prefetch(
         builder.call(prefetch, [row, _INT32(int(write)), _INT32(3), _INT32(1)])
 
 
+def _pairs(
+    context: Any, builder: Any, signature: Any, args: Any, *, write: bool
+) -> Iterator[tuple[Any, Any]]:
+    """Of each pair of a point's corners: the addresses of both rows of the table, and their weights."""
+    table, entry, weight = (_data(context, builder, signature, args, position) for position in range(3))
+    corners, block, stride, width = (one.literal_value for one in signature.args[6:])
+    _prefetch(builder, table, entry, args[3], corners, block, stride, write)
+    for corner in range(0, corners, 2):
+        at = _pair_start(builder, args[3], corner, block)
+        addresses = _pair_rows(builder, table, entry, at, stride, width)
+        yield addresses, _pair_weights(builder, weight, at, width)
+
+
 @intrinsic(prefer_literal=True)
 def copy_row(typing_context, source, first, out, start, width):  # type: ignore[no-untyped-def]
     """``out[start : start + width] = source[first : first + width]``.
@@ -111,8 +118,8 @@ def gather(  # type: ignore[no-untyped-def]
     Args:
         typing_context: numba's.
         table: Flat float32.
-        entry: Row numbers e from `combine`.
-        weight: Weights from `combine`.
+        entry: Row numbers e from `place_corners`.
+        weight: Weights from `place_corners`.
         point: Index of the point in its block.
         out: Flat float32, written.
         start: Index.
@@ -124,23 +131,14 @@ def gather(  # type: ignore[no-untyped-def]
     signature = types.void(table, entry, weight, types.intp, out, types.intp, corners, block, stride, width)
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        table_data, entry_data, weight_data, out_data = (
-            _data(context, builder, signature, args, position) for position in (0, 1, 2, 4)
-        )
-        _prefetch(
-            builder, table_data, entry_data, args[3], corners.literal_value, block.literal_value,
-            stride.literal_value, False,
-        )  # fmt: skip
         total, wide = None, width.literal_value
-        for corner in range(0, corners.literal_value, 2):
-            at = _pair_start(builder, args[3], corner, block.literal_value)
-            addresses = _pair_rows(builder, table_data, entry_data, at, stride.literal_value, wide)
+        for addresses, weights in _pairs(context, builder, signature, args, write=False):
             lower, upper = (builder.load(address, align=4) for address in addresses)
-            rows = _shuffled(builder, lower, upper, range(2 * wide))
-            term = builder.fmul(_pair_weights(builder, weight_data, at, wide), rows)
+            term = builder.fmul(weights, _shuffled(builder, lower, upper, range(2 * wide)))
             total = term if total is None else builder.fadd(total, term)
         lower, upper = (_shuffled(builder, total, total, range(k, k + wide)) for k in (0, wide))
-        builder.store(builder.fadd(lower, upper), _row(builder, out_data, args[5], wide), align=4)
+        target = _row(builder, _data(context, builder, signature, args, 4), args[5], wide)
+        builder.store(builder.fadd(lower, upper), target, align=4)
         return context.get_dummy_value()
 
     return signature, code
@@ -158,8 +156,8 @@ def scatter(  # type: ignore[no-untyped-def]
     Args:
         typing_context: numba's.
         table: Flat float32, added to.
-        entry: Row numbers e from `combine`.
-        weight: Weights from `combine`.
+        entry: Row numbers e from `place_corners`.
+        weight: Weights from `place_corners`.
         point: Index of the point in its block.
         grad: Flat float32.
         start: Index.
@@ -171,20 +169,12 @@ def scatter(  # type: ignore[no-untyped-def]
     signature = types.void(table, entry, weight, types.intp, grad, types.intp, corners, block, stride, width)
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        table_data, entry_data, weight_data, grad_data = (
-            _data(context, builder, signature, args, position) for position in (0, 1, 2, 4)
-        )
-        _prefetch(
-            builder, table_data, entry_data, args[3], corners.literal_value, block.literal_value,
-            stride.literal_value, True,
-        )  # fmt: skip
         wide = width.literal_value
+        grad_data = _data(context, builder, signature, args, 4)
         once = builder.load(_row(builder, grad_data, args[5], wide), align=4)
         twice = _shuffled(builder, once, once, range(2 * wide))
-        for corner in range(0, corners.literal_value, 2):
-            at = _pair_start(builder, args[3], corner, block.literal_value)
-            terms = builder.fmul(_pair_weights(builder, weight_data, at, wide), twice)
-            addresses = _pair_rows(builder, table_data, entry_data, at, stride.literal_value, wide)
+        for addresses, weights in _pairs(context, builder, signature, args, write=True):
+            terms = builder.fmul(weights, twice)
             # One after the other, because at the last grid point both are the same row.
             for address, k in zip(addresses, (0, wide), strict=True):
                 term = _shuffled(builder, terms, terms, range(k, k + wide))

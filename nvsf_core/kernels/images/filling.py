@@ -11,16 +11,10 @@ _NONE = np.int32(-1)
 
 
 def nearest_known(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """For each pixel the known one that is nearest in the image, and the distance to it.
+    """Distance (H, W) float32, pixels, and row and column (2, H, W) int32 of each pixel's nearest known one.
 
-    By the lower envelope of parabolas: along each column first, then along each row (Felzenszwalb and
-    Huttenlocher, "Distance transforms of sampled functions", 2012).
-
-    Args:
-        known: (H, W) bool, at least one pixel True.
-
-    Returns:
-        gap_px (H, W) float32, 0 at known pixels; and (2, H, W) int32 row and column of the nearest one.
+    At least one pixel is known (H, W) bool. By the lower envelope of parabolas: along each column first, then
+    along each row (Felzenszwalb and Huttenlocher, "Distance transforms of sampled functions", 2012).
     """
     rows = _nearest_in_columns(known)
     gap_px, where = np.empty(known.shape, np.float32), np.empty((2, *known.shape), np.int32)

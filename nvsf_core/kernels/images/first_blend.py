@@ -45,8 +45,7 @@ def first_blend(
 def luma(colour: np.ndarray) -> np.ndarray:
     """Brightness (h, w) of colours (3, h, w)."""
     red, green, blue = _LUMA
-    found: np.ndarray = red * colour[0] + green * colour[1] + blue * colour[2]
-    return found
+    return red * colour[0] + green * colour[1] + blue * colour[2]
 
 
 @njit(cache=True, nogil=True)

@@ -21,9 +21,9 @@ from nvsf_core.kernels.images.interpolation import (
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _THIRD = np.float32(1.0 / 3.0)
 """With a Python number, or an integer, numba would compute in double precision."""
-_NEAREST_Z = np.float32(1e-3)
+NEAREST_Z = np.float32(1e-3)
 """Smallest z of a point scaled by its inverse depth; with less it counts as behind the source."""
-_OUTSIDE = np.float32(-1e9)
+OUTSIDE = np.float32(-1e9)
 """Column of a point that is behind the source."""
 _ALMOST = np.float32(0.999)
 _FEW = 3
@@ -128,9 +128,9 @@ def _project(starts, steps, inverse, place):  # type: ignore[no-untyped-def]
     for c in range(len(inverse)):
         q = inverse[c]
         z = starts[2, c] + q * steps[2, c]
-        in_front = z > _NEAREST_Z
+        in_front = z > NEAREST_Z
         scale = _ONE / (z if in_front else _ONE)
-        place[0, c] = (starts[0, c] + q * steps[0, c]) * scale if in_front else _OUTSIDE
+        place[0, c] = (starts[0, c] + q * steps[0, c]) * scale if in_front else OUTSIDE
         place[1, c] = (starts[1, c] + q * steps[1, c]) * scale
         place[2, c] = scale
 

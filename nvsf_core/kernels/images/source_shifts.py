@@ -12,7 +12,7 @@ from numba import njit
 
 from nvsf_core.kernels.images.first_blend import first_blend, luma
 from nvsf_core.kernels.images.interpolation import MOVING, SHOWN, between, bicubic, corner, weights_of
-from nvsf_core.kernels.images.source_lookup import LookUp, shows
+from nvsf_core.kernels.images.source_lookup import NEAREST_Z, OUTSIDE, LookUp, shows
 from nvsf_core.kernels.images.window_mean import window_mean
 
 _REACH = 5
@@ -28,8 +28,6 @@ _MOST_PX = np.float32(2.0)
 _RIDGE = np.float32(0.1)
 """By what share of the fit's weight an error of the depth is drawn to 0: few images, or all on one side of
 the view, tell little about it."""
-_NEAREST_Z, _OUTSIDE = np.float32(1e-3), np.float32(-1e9)
-"""Smallest z of a point scaled by its inverse depth; with less it is behind the source, at this column."""
 _U0 = np.uint64(0)
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 """With a Python number, or an integer, numba would compute in double precision."""
@@ -165,7 +163,7 @@ def _moves(motion, ray, inverse):  # type: ignore[no-untyped-def]
     x = motion[0, 0] * ray[0] + motion[0, 1] * ray[1] + motion[0, 2] + inverse * motion[0, 3]
     y = motion[1, 0] * ray[0] + motion[1, 1] * ray[1] + motion[1, 2] + inverse * motion[1, 3]
     z = motion[2, 0] * ray[0] + motion[2, 1] * ray[1] + motion[2, 2] + inverse * motion[2, 3]
-    z = max(z, _NEAREST_Z)
+    z = max(z, NEAREST_Z)
     # By how much larger the source shows things than the view cancels the division by z.
     return motion[0, 3] - motion[2, 3] * x / z, motion[1, 3] - motion[2, 3] * y / z
 
@@ -183,20 +181,11 @@ def _fill(colour, seen, around, filled):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _move(where, k, d, filled, size, seen, shift, again, moved):  # type: ignore[no-untyped-def]
-    """Write the colours of source k beside all pixels that it shows at depth d; 0 for others.
+    """Write the colours (3, d, h, w) of source k beside all pixels that it shows at depth d; 0 for others.
 
-    Each is a mean of what it shows there, moved, and of what it has at the moved place.
-
-    Args:
-        where: As of `brought_together`.
-        k: Number of the source.
-        d: Of the depth; those of depth 0 are written first.
-        filled: Its colours at depth d as `_fill` gives them, flat.
-        size: Their shape (h, w, 4).
-        seen: (d, h, w) bool.
-        shift: (h, w, 2) in pixels.
-        again: Weight of the latter in the mean, 0..1.
-        moved: (3, d, h, w), which is written.
+    Each is a mean of what it shows there, moved, and, with the weight `again`, of what it has at the moved
+    place. `filled` and `size` are its colours at that depth as of `_fill`, flat, and their shape; `seen` (d,
+    h, w) bool, `shift` (h, w, 2) in pixels. Depth 0 is written first.
     """
     image = where.images[where.chosen[k]]
     pixels, channels = image.reshape(-1), image.shape[2]
@@ -240,7 +229,7 @@ def _place(motion, rays, r, c, shift, inverse):  # type: ignore[no-untyped-def]
     x = rays[r, c, 0] + shift[0] * (rays[0, 1, 0] - rays[0, 0, 0])
     y = rays[r, c, 1] + shift[1] * (rays[1, 0, 1] - rays[0, 0, 1])
     z = motion[2, 0] * x + motion[2, 1] * y + motion[2, 2] + inverse * motion[2, 3]
-    scale = _ONE / max(z, _NEAREST_Z)
+    scale = _ONE / max(z, NEAREST_Z)
     u = (motion[0, 0] * x + motion[0, 1] * y + motion[0, 2] + inverse * motion[0, 3]) * scale
     v = (motion[1, 0] * x + motion[1, 1] * y + motion[1, 2] + inverse * motion[1, 3]) * scale
-    return (u if z > _NEAREST_Z else _OUTSIDE), v, scale
+    return (u if z > NEAREST_Z else OUTSIDE), v, scale

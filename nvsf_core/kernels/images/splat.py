@@ -41,16 +41,11 @@ def splat_depth(
     Returns:
         (H, W) float32 depth along z in metres; inf where no point is seen.
     """
-    points = np.ascontiguousarray(points_m, np.float32)
-    motion = np.ascontiguousarray(world_to_camera[:3], np.float32)
-    fx, fy, cx, cy = intrinsics
-    rows, columns = shape
-    image = _project(points, motion, fx, fy, cx, cy, _NEAR_M)
     nearest = np.full(shape, np.inf, np.float32)
-    _nearest(image, nearest)
+    _nearest(_in_image(points_m, world_to_camera, intrinsics), nearest)
     # Hiding needs only each pixel's nearest point: what that hides, the ones behind it need not.
-    cover = np.full((rows, columns), np.inf, np.float32)
-    _cover(nearest, cover, fx * radius_m, _MARGIN_M, _MARGIN_SHARE)
+    cover = np.full_like(nearest, np.inf)
+    _cover(nearest, cover, intrinsics[0] * radius_m)
     return np.where(nearest <= cover, nearest, np.float32(np.inf))
 
 
@@ -75,12 +70,17 @@ def mean_places(
         (H, W, 4) float32: number of the points, their mean column and row, their mean inverse depth, 1/m; 0
         without points.
     """
-    points = np.ascontiguousarray(points_m, np.float32)
-    image = _project(points, np.ascontiguousarray(world_to_camera[:3], np.float32), *intrinsics, _NEAR_M)
     found = np.zeros((*depth_m.shape, 4), np.float32)
-    _add(image, depth_m, found)
+    _add(_in_image(points_m, world_to_camera, intrinsics), depth_m, found)
     found[..., 1:] /= np.maximum(found[..., :1], 1.0)
     return found
+
+
+def _in_image(
+    points_m: np.ndarray, world_to_camera: np.ndarray, intrinsics: tuple[float, float, float, float]
+) -> np.ndarray:
+    motion = np.ascontiguousarray(world_to_camera[:3], np.float32)
+    return _project(np.ascontiguousarray(points_m, np.float32), motion, *intrinsics)
 
 
 @njit(cache=True, nogil=True)
@@ -104,13 +104,13 @@ def _pixel(u, v, depth, rows, columns):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _project(points, motion, fx, fy, cx, cy, near_m):  # type: ignore[no-untyped-def]
+def _project(points, motion, fx, fy, cx, cy):  # type: ignore[no-untyped-def]
     """(M, 3) float32: u, v, depth; depth inf where the point is too near or not finite."""
     image = np.empty_like(points)
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         depth = motion[2, 0] * x + motion[2, 1] * y + motion[2, 2] * z + motion[2, 3]
-        if not depth > near_m:
+        if not depth > _NEAR_M:
             image[i, 2] = np.inf
             continue
         right = motion[0, 0] * x + motion[0, 1] * y + motion[0, 2] * z + motion[0, 3]
@@ -132,7 +132,7 @@ def _nearest(image, nearest):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _cover(nearest, cover, radius_px_m, margin_m, margin_share):  # type: ignore[no-untyped-def]
+def _cover(nearest, cover, radius_px_m):  # type: ignore[no-untyped-def]
     """Depth behind which each pixel is hidden, by the squares of the pixels around it."""
     rows, columns = nearest.shape
     half, limit = np.empty(columns, np.int64), np.empty(columns, np.float32)
@@ -144,7 +144,7 @@ def _cover(nearest, cover, radius_px_m, margin_m, margin_share):  # type: ignore
         for c in range(columns):
             depth = nearest[row, c]
             half[c] = min(int(radius_px_m / depth), rim) if depth < np.inf else -1
-            limit[c] = depth + margin_m + margin_share * depth
+            limit[c] = depth + _MARGIN_M + _MARGIN_SHARE * depth
             largest = max(largest, half[c])
         for size in range(largest + 1):
             own[:], hidden[:], found = nothing, nothing, False

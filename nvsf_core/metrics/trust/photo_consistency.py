@@ -96,9 +96,7 @@ def nearest_difference(look: LookBack) -> np.ndarray:
 def parallax_curve(looks: Sequence[LookBack], fills: Sequence[float]) -> ParallaxCurve | None:
     """The curve of recorded images that were carried back; None if no other image shows any of them.
 
-    Args:
-        looks: Of recorded images, each with the depths that were rendered for its place.
-        fills: `fill_difference` of the same images.
+    By the depths that were rendered for the place of each; `fills` are their `fill_difference`.
     """
     total, count = np.zeros((2, len(_EDGES_RAD) - 1))
     for look in looks:

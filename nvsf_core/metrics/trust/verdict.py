@@ -83,13 +83,11 @@ class Verdict:
     sensor: str
     trust: Trust
     why: str
-    """One sentence."""
     ratio: float
     """Score over the recorded median; NaN if that is not known."""
     values: Mapping[str, float]
     """Metric to its mean over the view's frames."""
     bands: Mapping[str, Band]
-    """Metric to its band."""
 
     @property
     def score(self) -> float:
@@ -133,16 +131,16 @@ def _verdict(
     score, band = values.get(SCORE, math.nan), bands.get(SCORE)
     ratio = math.nan if band is None else score / max(band.median, 1e-12)
     guessed, missing = values.get(GUESSED, 0.0), values.get(MISSING.name, 0.0)
-    strange = [
-        cue for cue in _all_cues(sensor)
-        if values.get(cue.name, 0.0) > _strange_beyond(cue, bands)
-    ]  # fmt: skip
+    cues = SCAN_CUES if sensor == LIDAR else IMAGE_CUES
+    strange = [cue for cue in cues if values.get(cue.name, 0.0) > _strange_beyond(cue, bands)]
+    # No larger than recorded scores and, where these differ much, near their median.
+    is_within = band is not None and score <= min(band.high, NOTICED * band.median)
     trust = Trust.WITH_CARE
     if math.isnan(ratio):
         trust = Trust.NOT_KNOWN
     elif ratio > TOO_FAR or guessed > MUCH_GUESSED or missing > MUCH_MISSING:
         trust = Trust.DO_NOT_USE
-    elif scored[0] == scored[1] and _is_within(score, band) and not strange:
+    elif scored[0] == scored[1] and is_within and not strange:
         # A share that is not known is NaN: it doubts nothing.
         doubted = guessed > LITTLE_GUESSED or missing > LITTLE_MISSING
         trust = Trust.WITH_CARE if doubted else Trust.AS_RECORDED
@@ -171,11 +169,6 @@ def _strange_beyond(cue: Cue, bands: Mapping[str, Band]) -> float:
     return max(STRANGE * bands[cue.name].high, _LEAST_STRANGE)
 
 
-def _is_within(score: float, band: Band | None) -> bool:
-    """Whether a score is no larger than recorded ones and, where these differ much, near their median."""
-    return band is not None and score <= min(band.high, NOTICED * band.median)
-
-
 def _why(
     sensor: str, trust: Trust, values: Mapping[str, float], bands: Mapping[str, Band],
     strange: Sequence[Cue], scored: tuple[int, int],
@@ -197,7 +190,9 @@ def _why(
         reasons.append(max(strange, key=lambda cue: values[cue.name] / _strange_beyond(cue, bands)).reason)
     else:
         known = [cue for cue in _score_cues(sensor) if cue.name in bands]
-        worst = max(known, key=lambda cue: values[cue.name] / _safe(bands[cue.name].median), default=None)
+        worst = max(
+            known, key=lambda cue: values[cue.name] / max(bands[cue.name].median, 1e-12), default=None
+        )
         if worst is not None and values[worst.name] > bands[worst.name].median:
             reasons.append(worst.reason)
     sentence = "; ".join(reasons) or f"taken together it is farther from the recorded {kind} than these are"
@@ -209,13 +204,5 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.{1 if share < 0.1 else 0}f} %"
 
 
-def _safe(value: float) -> float:
-    return max(value, 1e-12)
-
-
 def _score_cues(sensor: str) -> tuple[Cue, ...]:
     return SCAN_SCORE if sensor == LIDAR else IMAGE_SCORE
-
-
-def _all_cues(sensor: str) -> tuple[Cue, ...]:
-    return SCAN_CUES if sensor == LIDAR else IMAGE_CUES

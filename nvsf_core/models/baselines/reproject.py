@@ -5,7 +5,7 @@ import torch
 
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.kernels.images.filling import nearest_known
-from nvsf_core.recipe import EvidenceSpec
+from nvsf_core.recipe.residual import EvidenceSpec
 from nvsf_core.recording.drive import Recording, Sweeps
 from nvsf_core.recording.images import CameraImages
 from nvsf_core.rendering.image_depth import without_sky

@@ -7,14 +7,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nvsf_core.losses.image import squared_colour_error
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.models.paper.lidar_step import SUMS
 from nvsf_core.models.paper.training_frames import Images, PaperFrames, PaperTrainee
 from nvsf_core.rendering.scaled_rays import camera_rays
 from nvsf_core.rendering.volume import on_white, render_volume
 from nvsf_core.sampling.error_map import ErrorMap
-from nvsf_core.sampling.pixels import sample_camera_pixels
+from nvsf_core.sampling.pixels import sample_pixels
 
 
 def camera_losses(
@@ -37,7 +36,7 @@ def camera_losses(
     """
     recipe, errors = trainee.recipe, trainee.image_errors[camera.name]
     assert isinstance(errors, ErrorMap)
-    pixels = sample_camera_pixels(recipe.sampling, epoch, row, errors, generator)
+    pixels = sample_pixels(recipe.sampling, epoch, row, errors, generator)
     rows, columns = pixels.rows.numpy(), pixels.columns.numpy()
     pose, frame = camera.images.pose[row], float(camera.moment[row])
     direction = camera.images.pinhole.rays(np.stack([columns, rows], axis=1)) @ pose[:3, :3].T
@@ -56,7 +55,7 @@ def camera_losses(
             generator=generator,
         )
         colour = on_white(render)
-        terms = {"colour": squared_colour_error(colour, truth[part])}
+        terms = {"colour": (colour - truth[part]) ** 2}  # eq. 9 of the paper (L_rgb), to be summed
         error.append(terms["colour"].sum(dim=1).detach().cpu())
         yield total_loss(terms, asdict(recipe.losses), SUMS)
     errors.update(row, pixels.rows, pixels.columns, torch.cat(error))

@@ -15,16 +15,16 @@ from nvsf_core.fields.raydrop_unet import RaydropUnet
 from nvsf_core.models.family import Trained, TrainingSession, fit, training_device
 from nvsf_core.models.paper.refine import refine, refinement_state
 from nvsf_core.models.paper.render import PaperModel
-from nvsf_core.models.paper.scene import frame_at, load, needed, training_frames
+from nvsf_core.models.paper.scene import frame_at, needed, training_frames
+from nvsf_core.models.paper.scene import load as load
 from nvsf_core.models.paper.step import paper_step
 from nvsf_core.models.paper.training_frames import PaperFrames, PaperTrainee
-from nvsf_core.recipe import PaperRecipe, TrainingSpec
+from nvsf_core.recipe.paper import PaperRecipe
+from nvsf_core.recipe.residual import TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.training.adam import Adam
 from nvsf_core.training.loop import Part, Step, TrainingState
 from nvsf_core.training.weight_average import WeightAverage
-
-__all__ = ["load", "train", "train_on_frames"]
 
 
 def train(recipe: PaperRecipe, recording: Recording, session: TrainingSession) -> Trained:
@@ -44,7 +44,12 @@ def train_on_frames(
     seed = session.seed
     trainee = PaperTrainee(recipe, frames, torch.Generator().manual_seed(seed)).to(training_device())
     state = _state(trainee, recipe, seed)
-    state = fit(session, "field", state, _loop_spec(recipe), _step(state, trainee, frames, seed))
+    spec = recipe.optimiser
+    loop = TrainingSpec(
+        steps=spec.steps, rays=recipe.sampling.rays * (2 if recipe.sampling.camera else 1),
+        final_share=spec.final_share, checkpoint_s=spec.checkpoint_s,
+    )  # fmt: skip
+    state = fit(session, "field", state, loop, _step(state, trainee, frames, seed))
     assert state.average is not None
     if state.step % len(frames.frames) == 0:
         # The average is else updated at the first step of the next epoch.
@@ -78,16 +83,6 @@ def _state(trainee: PaperTrainee, recipe: PaperRecipe, seed: int) -> TrainingSta
     optimiser = Adam(groups, betas=(0.9, 0.99), eps=1e-15)
     average = WeightAverage(trainee.field, recipe.optimiser.ema_decay)
     return TrainingState(trainee, optimiser, torch.Generator().manual_seed(seed), average=average)
-
-
-def _loop_spec(recipe: PaperRecipe) -> TrainingSpec:
-    spec = recipe.optimiser
-    return TrainingSpec(
-        steps=spec.steps,
-        rays=recipe.sampling.rays * (2 if recipe.sampling.camera else 1),
-        final_share=spec.final_share,
-        checkpoint_s=spec.checkpoint_s,
-    )
 
 
 def _step(state: TrainingState, trainee: PaperTrainee, frames: PaperFrames, seed: int) -> Step:

@@ -12,7 +12,8 @@ from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.fields.flow import FlowField
 from nvsf_core.losses.chamfer import flow_magnitude, scene_flow_loss
 from nvsf_core.losses.total import LossBreakdown, total_loss
-from nvsf_core.recipe import PaperRecipe, TrainingSpec
+from nvsf_core.recipe.paper import PaperRecipe
+from nvsf_core.recipe.residual import TrainingSpec
 from nvsf_core.training.adam import Adam
 from nvsf_core.training.loop import Part, TrainingState, train
 
@@ -192,8 +193,7 @@ def is_stray(points_m: np.ndarray, generator: np.random.Generator) -> np.ndarray
     is_chosen = np.zeros(n, bool)
     is_chosen[chosen] = True
     to_nearest = np.where(is_chosen, distance_m[:, 1:].mean(axis=1), distance_m[:, :-1].mean(axis=1))
-    stray: np.ndarray = to_nearest > to_nearest.mean() + _OUTLIER_SIGMAS * to_nearest.std()
-    return stray
+    return to_nearest > to_nearest.mean() + _OUTLIER_SIGMAS * to_nearest.std()
 
 
 def is_ground(points_m: np.ndarray, generator: np.random.Generator) -> np.ndarray:

@@ -12,7 +12,7 @@ from nvsf_core.losses.gradient import gradient_loss, gradient_mask
 from nvsf_core.losses.lidar import absolute_range_error, squared_hit_error, squared_intensity_error
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.models.paper.training_frames import Panos, PaperFrames, PaperTrainee
-from nvsf_core.recipe import PaperRecipe
+from nvsf_core.recipe.paper import PaperRecipe
 from nvsf_core.rendering.scaled_rays import ScaledRays, lidar_rays
 from nvsf_core.rendering.volume import VolumeRender, render_volume
 from nvsf_core.sampling.pixels import SampledPixels, sample_lidar_pixels
@@ -68,7 +68,7 @@ def lidar_losses(
         part, true = rays.part(slice(first, first + at_once)), truth.part(slice(first, first + at_once))
         render = render_volume(
             lambda x01: trainee.field.density(x01, frame, "lidar"),
-            trainee.lidar_attributes,
+            trainee.field.lidar,
             part,
             samples=recipe.sampling.samples,
             bound=frames.bounds.bound,

@@ -10,8 +10,8 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 
 from nvsf_core.errors import DivergedError, ShapeError
 from nvsf_core.losses.total import LossBreakdown, total_loss
-from nvsf_core.recipe import TrainingSpec
 from nvsf_core.recipe.paper import RefinementSpec
+from nvsf_core.recipe.residual import TrainingSpec
 from nvsf_core.training.adam import Adam
 from nvsf_core.training.loop import Save, TrainingState, train
 

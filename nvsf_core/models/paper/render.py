@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.geometry.pinhole import Pinhole
-from nvsf_core.recipe import PaperRecipe
+from nvsf_core.recipe.paper import PaperRecipe
 from nvsf_core.rendering.rendered import RenderedImage, RenderedRays
 from nvsf_core.rendering.scaled_rays import ScaledRays, camera_rays, lidar_rays
 from nvsf_core.rendering.volume import VolumeRender, on_white, render_volume
@@ -100,7 +100,7 @@ class PaperModel:
         found = self._in_parts(
             rays,
             lambda x01: self.field.density(x01, frame, "lidar"),
-            lambda towards, geometry: torch.stack(self.field.lidar(towards, geometry), dim=1),
+            self.field.lidar,
             lambda render: torch.cat([render.range_scaled[:, None], render.attributes], dim=1),
         )
         return found[:, 0] * self.bounds.half_m, found[:, 1], found[:, 2].clamp(0.0, 1.0)

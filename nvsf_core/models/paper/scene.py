@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from torch import nn
 
 from nvsf_core.errors import DataError
 from nvsf_core.fields.raydrop_unet import RaydropUnet
@@ -16,7 +15,7 @@ from nvsf_core.models.family import Weights, training_device
 from nvsf_core.models.paper.flow_training import flow_cloud
 from nvsf_core.models.paper.render import PaperModel
 from nvsf_core.models.paper.training_frames import Images, Panos, PaperFrames
-from nvsf_core.recipe import PaperRecipe
+from nvsf_core.recipe.paper import PaperRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.simulation.scene_model import SceneModel
 
@@ -122,23 +121,22 @@ def _points(lidar: LidarRecording, scan: int) -> np.ndarray:
     kept = a["range_m"][part] < lidar.far_m
     origin, direction = a["origin_m"][part][kept], a["direction"][part][kept]
     range_m = a["range_m"][part][kept].astype(np.float64)
-    points: np.ndarray = origin.astype(np.float64) + direction * range_m[:, None]
-    return points
+    return origin.astype(np.float64) + direction * range_m[:, None]
 
 
 def load(
     recipe: PaperRecipe, weights: Weights, recording: Recording, *, with_camera: bool = True
 ) -> SceneModel:
-    """The trained model, ready to render.
-
-    Raises:
-        StoreError: The weights do not fit the recipe.
-    """
+    """See `Family.load`."""
     recipe, facts = needed(recipe, recording), weights.facts
     bounds = Bounds(centre_m=tuple(facts["centre_m"]), half_m=facts["half_m"], bound=facts["bound"])
     field = SceneField(recipe, frame_count(recording), torch.Generator())
     weights.load_into(field, "field.")
-    unet = _load_unet(recipe, weights)
+    unet = None
+    if weights.has("unet."):
+        unet = RaydropUnet(recipe.refinement.channels, torch.Generator())
+        weights.load_into(unet, "unet.")
+        unet = unet.to(training_device()).eval()
     model = PaperModel(
         recipe=recipe,
         field=field.to(training_device()),
@@ -154,11 +152,3 @@ def load(
         pano=model.render_pano if has_lidar else None,
         as_recorded=True,
     )
-
-
-def _load_unet(recipe: PaperRecipe, weights: Weights) -> nn.Module | None:
-    if not weights.has("unet."):
-        return None
-    unet = RaydropUnet(recipe.refinement.channels, torch.Generator())
-    weights.load_into(unet, "unet.")
-    return unet.to(training_device()).eval()

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from nvsf_core.errors import DataError
 from nvsf_core.fields.scene_field import SceneField
 from nvsf_core.geometry.bounds import Bounds
-from nvsf_core.recipe import PaperRecipe
+from nvsf_core.recipe.paper import PaperRecipe
 from nvsf_core.recording.images import CameraImages
 from nvsf_core.sampling.error_map import CAMERA_CELL_PX, LIDAR_CELL_PX, ErrorMap
 
@@ -85,21 +85,13 @@ class PaperTrainee(nn.Module):
             count, height, width = panos.range_m.shape
             self.pano_errors = ErrorMap(count, height, width, LIDAR_CELL_PX)
         used = frames.cameras if recipe.sampling.camera else ()
-        self.image_errors = nn.ModuleDict({camera.name: _image_errors(camera) for camera in used})
+        self.image_errors = nn.ModuleDict()
+        for camera in used:
+            shown = torch.from_numpy(camera.images.valid)
+            height, width = shown.shape
+            self.image_errors[camera.name] = ErrorMap(len(camera.frame), height, width, CAMERA_CELL_PX, shown)
 
     @property
     def device(self) -> torch.device:
         """The device that the field is on."""
         return next(self.field.parameters()).device
-
-    def lidar_attributes(self, direction: Tensor, geometry: Tensor) -> Tensor:
-        """Intensity and hit probability (m, 2) of samples with directions (m, 3) and geometry features."""
-        return torch.stack(self.field.lidar(direction, geometry), dim=1)
-
-
-def _image_errors(camera: Images) -> ErrorMap:
-    pinhole = camera.images.pinhole
-    shown = torch.zeros(pinhole.height * pinhole.width, dtype=torch.bool)
-    shown[torch.from_numpy(camera.images.pixel)] = True
-    mask = shown.reshape(pinhole.height, pinhole.width)
-    return ErrorMap(len(camera.frame), pinhole.height, pinhole.width, CAMERA_CELL_PX, mask)

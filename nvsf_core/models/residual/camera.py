@@ -21,25 +21,21 @@ from nvsf_core.models.holdout import compare
 from nvsf_core.models.residual.camera_examples import RecordedView, ShownCamera
 from nvsf_core.models.residual.depth_step import depth_step
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
-from nvsf_core.models.residual.exposures import (
-    Exposures,
-    exposures_from,
-    exposures_of,
-    facts_of_exposures,
-)
+from nvsf_core.models.residual.exposures import Exposures, exposures_of
 from nvsf_core.models.residual.image_depths import image_depths
 from nvsf_core.models.residual.pose_refinement import (
     AlignedDrive,
     align_drive,
     aligned_by,
-    corrections_from,
     facts_of,
+    from_facts,
 )
 from nvsf_core.models.residual.shared_images import SharedImages, shared_by, shared_images
 from nvsf_core.models.residual.tones import ToneCurve, tones_of, with_tones
-from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
+from nvsf_core.recipe.residual import CameraSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.camera_view import ShownImages, camera_view, shown_images, shrinking
+from nvsf_core.rendering.image_alignment import PoseCorrection
 from nvsf_core.rendering.image_depth import without_sky
 from nvsf_core.rendering.lidar_view import lidar_view
 from nvsf_core.rendering.rendered import RenderedImage
@@ -115,7 +111,7 @@ def train_camera(session: TrainingSession, recipe: ResidualRecipe, recording: Re
         facts=facts | {
             SHARED: [list(one.cameras) for one in shared],
             TONES: {name: (one.gain, one.exponent) for name, one in tones.items()},
-            EXPOSURES: facts_of_exposures(exposures),
+            EXPOSURES: facts_of(exposures),
         },
         tensors={key: value for name, one in maps.items() for key, value in _stored_maps(name, one).items()},
     )  # fmt: skip
@@ -169,7 +165,10 @@ def _verdict(
     aligned = aligned_by(given.world, align_drive(given.world, aligning, left_out, exposures))
     scores = {
         name: compare(
-            _METRICS, one.validation, _candidates(given, aligned, one), at_once=_at_once(given, name)
+            _METRICS,
+            one.validation,
+            _candidates(given, aligned, one),
+            at_once=images_at_once(one.images.full[0, 0].numel()),
         )
         for name, one in cameras.items()
     }
@@ -197,11 +196,6 @@ def _verdict(
     return metadata, {LEARNED: learned, ALIGNED: facts_of(corrections), ALONE: alone}
 
 
-def _at_once(given: AlignedDrive, name: str) -> int:
-    pinhole = given.given.cameras[name].training.pinhole
-    return images_at_once(pinhole.width * pinhole.height)
-
-
 def _candidates(
     given: AlignedDrive, aligned: AlignedDrive, camera: ShownCamera
 ) -> dict[str, Callable[[int], list[float]]]:
@@ -222,8 +216,8 @@ def camera_renderer(recording: Recording, spec: CameraSpec, weights: Weights) ->
     """
     warp, facts = warping_renderer(recording), weights.facts
     tones = {name: ToneCurve(*map(tuple, one)) for name, one in facts[TONES].items()}
-    corrections = corrections_from(facts[ALIGNED])
-    exposures = exposures_from(facts[EXPOSURES])
+    corrections = from_facts(PoseCorrection, facts[ALIGNED])
+    exposures = from_facts(Exposures, facts[EXPOSURES])
     drive = aligned_by(MovingWorld(with_tones(recording, tones)), corrections)
     world, learned, alone = drive.world, facts[LEARNED], facts[ALONE]
     shared = {

@@ -10,7 +10,7 @@ from nvsf_core.models.holdout import validation_numbers
 from nvsf_core.models.residual.exposures import Exposures
 from nvsf_core.models.residual.pose_refinement import AlignedDrive
 from nvsf_core.models.residual.shared_images import SharedImages
-from nvsf_core.recipe import CameraSpec
+from nvsf_core.recipe.residual import CameraSpec
 from nvsf_core.rendering.camera_view import CameraView, ShownImages, camera_view
 from nvsf_core.rendering.image_exposure import recorded_at_exposure
 from nvsf_core.rendering.lidar_view import LidarView, MovingPoints, lidar_view
@@ -33,13 +33,11 @@ class ShownCamera:
     drive: AlignedDrive
     """With the images' poses."""
     name: str
-    """Of the camera."""
     shared: SharedImages
     """Its training images and those of the cameras that share theirs with it."""
     images: ShownImages
     """All of these, as sources."""
     spec: CameraSpec
-    """Of the recipe."""
     exposures: Exposures | None = None
     """Of the camera; None = fixed."""
     returns: dict[int, tuple[list[MovingPoints], LidarView]] = field(default_factory=dict)

@@ -9,7 +9,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 
 from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.losses.total import LossBreakdown, total_loss
-from nvsf_core.recipe import LossWeights, TrainingSpec
+from nvsf_core.recipe.residual import LossWeights, TrainingSpec
 
 
 @dataclass(frozen=True, slots=True)

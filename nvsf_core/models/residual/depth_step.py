@@ -5,12 +5,11 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 import torch
-from torch import Tensor
 
 from nvsf_core.fields.depth_network import DepthNetwork
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.models.residual.camera_examples import RecordedView
-from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.recipe.residual import ResidualRecipe
 from nvsf_core.rendering.camera_view import Window
 from nvsf_core.rendering.plane_depth import planes_of
 from nvsf_core.rendering.sources import SHOWN
@@ -32,14 +31,9 @@ def depth_step(
     shown = example.view.images.small[0, SHOWN][window] > 0.999
     terms = {
         "coarse": ((probability[:, None] * colour).sum(dim=0) - truth).square().mean(dim=0)[shown],
-        "plane": _believed_error(probability, colour, truth)[shown],
+        "plane": (probability * (colour - truth).abs().mean(dim=1)).sum(dim=0)[shown],
     }
     return total_loss(terms, asdict(recipe.losses))
-
-
-def _believed_error(probability: Tensor, colour: Tensor, truth: Tensor) -> Tensor:
-    """Absolute error (h, w) of the colours (d, 3, h, w) of d depths, weighted by probabilities (d, h, w)."""
-    return (probability * (colour - truth).abs().mean(dim=1)).sum(dim=0)
 
 
 def sample_window(shape: tuple[int, int], pixels: int, generator: torch.Generator) -> Window:

@@ -1,6 +1,6 @@
 """Exposures of a camera's training images, and of a view at any time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,28 +56,10 @@ def evened(exposures: Exposures | None, rgb: np.ndarray, index: int) -> np.ndarr
     if exposures is None:
         return rgb[index]
     levels = recorded_at_exposure(rgb[index], -float(exposures.log_gain[index]))
-    found: np.ndarray = 255.0 * levels.permute(1, 2, 0).numpy()
-    return found
-
-
-def facts_of_exposures(exposures: Mapping[str, Exposures]) -> dict[str, dict[str, list[float]]]:
-    """Exposures as plain JSON values."""
-    return {
-        name: {"time_s": one.time_s.tolist(), "log_gain": one.log_gain.tolist()}
-        for name, one in exposures.items()
-    }
-
-
-def exposures_from(facts: Mapping[str, Mapping[str, list[float]]]) -> dict[str, Exposures]:
-    """Exposures from the values of `facts_of_exposures`."""
-    return {
-        name: Exposures(np.array(one["time_s"], np.float64), np.array(one["log_gain"], np.float64))
-        for name, one in facts.items()
-    }
+    return 255.0 * levels.permute(1, 2, 0).numpy()
 
 
 def _line(time_s: np.ndarray, gains: np.ndarray) -> np.ndarray:
     """The straight line (n,) through values (n,) at times (n,), by least squares."""
     design = np.stack([np.ones_like(time_s), time_s - time_s.mean()], axis=1)
-    line: np.ndarray = design @ np.linalg.lstsq(design, gains, rcond=None)[0]
-    return line
+    return design @ np.linalg.lstsq(design, gains, rcond=None)[0]

@@ -15,11 +15,13 @@ from nvsf_core.models.residual.lidar import SHOWS_FIELD, train_lidar
 from nvsf_core.models.residual.pano import CORRECTED, pano_renderer, train_pano
 from nvsf_core.models.residual.pano_neighbours import FEATURES as PANO_FEATURES
 from nvsf_core.models.residual.pano_neighbours import PARTS
-from nvsf_core.models.residual.raydrop import HITS_BLEND, raydrop_correction, train_hits
+from nvsf_core.models.residual.raydrop import HITS_BLEND, train_hits
 from nvsf_core.models.residual.raydrop_grid import FEATURES as HITS_FEATURES
-from nvsf_core.recipe import HitsSpec, PanoSpec, ResidualRecipe
+from nvsf_core.models.residual.raydrop_grid import SweepRaydrop
+from nvsf_core.recipe.residual import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.simulation.ray_renderers import field_renderer, reprojecting_renderer, unobserved_renderer
+from nvsf_core.simulation.raydrop import HitBlend
 from nvsf_core.simulation.scene_model import SceneModel
 
 
@@ -52,22 +54,13 @@ def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> Resi
     lidar = hits = pano = None
     if recording.lidar is not None:
         if recipe.hits is not None:
-            hits = hits_network(recipe.hits, torch.Generator().manual_seed(seed + 3))
+            hits = CellNetwork(HITS_FEATURES, 1, recipe.hits, torch.Generator().manual_seed(seed + 3))
         if recipe.pano is not None and recipe.pano.training is not None:
-            pano = pano_network(recipe.pano, torch.Generator().manual_seed(seed + 2))
+            sampler = torch.Generator().manual_seed(seed + 2)
+            pano = CellNetwork(PANO_FEATURES, len(PARTS), recipe.pano, sampler)
         points_m = recording.lidar.evidence.surfels.mean_m
         lidar = LidarField.around(points_m, recipe.lidar_field, torch.Generator().manual_seed(seed))
     return ResidualFields(lidar=lidar, hits=hits, pano=pano)
-
-
-def hits_network(spec: HitsSpec, generator: torch.Generator) -> CellNetwork:
-    """The untrained raydrop network, with weights from `generator`."""
-    return CellNetwork(HITS_FEATURES, 1, generator, channels=spec.channels, layers=spec.layers)
-
-
-def pano_network(spec: PanoSpec, generator: torch.Generator) -> CellNetwork:
-    """The untrained network that corrects panos, with weights from `generator`."""
-    return CellNetwork(PANO_FEATURES, len(PARTS), generator, channels=spec.channels, layers=spec.layers)
 
 
 def train(recipe: ResidualRecipe, recording: Recording, session: TrainingSession) -> Trained:
@@ -126,10 +119,7 @@ def load(
 ) -> SceneModel:
     """A trained model, ready to render; without cameras no image is prepared.
 
-    A part that did not beat `reproject` on the validation data is rendered by `reproject`.
-
-    Raises:
-        StoreError: The weights do not fit the recipe.
+    A part that did not beat `reproject` on the validation data is rendered by `reproject`. See `Family.load`.
     """
     facts = weights.facts
     fields = make_fields(recipe, recording, 0)
@@ -160,7 +150,7 @@ def _with_lidar(
     correct = None
     if fields.hits is not None and facts.get(HITS_BLEND):
         weights.load_into(fields.hits, "hits.")
-        correct = raydrop_correction(fields.hits, facts[HITS_BLEND])
+        correct = SweepRaydrop(fields.hits, HitBlend(**facts[HITS_BLEND]))
     model = replace(model, lidar=render, correct=correct)
     if recipe.pano is None:
         return model

@@ -27,7 +27,7 @@ from nvsf_core.losses.lidar import depth_loss, intensity_loss, raydrop_loss, sur
 from nvsf_core.losses.total import LossBreakdown, total_loss
 from nvsf_core.models.family import TrainedPart, TrainingSession, fit, training_device
 from nvsf_core.models.holdout import SCAN_METRICS, compare, left_out_renderer, score_left_out
-from nvsf_core.recipe import ResidualRecipe, TrainingSpec
+from nvsf_core.recipe.residual import ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.rendering.lidar import LidarRender, render_lidar
 from nvsf_core.rendering.reproject import NEAR_M

@@ -6,7 +6,7 @@ from nvsf_core._types import Say
 from nvsf_core.evidence.image_surfels import DepthRays, image_surfels
 from nvsf_core.geometry.se3 import pose_from_parts
 from nvsf_core.models.baselines.reproject import depth_points
-from nvsf_core.recipe import EvidenceSpec
+from nvsf_core.recipe.residual import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.rendering.image_depth import image_depth
 from nvsf_core.simulation.ray_renderers import image_renderer

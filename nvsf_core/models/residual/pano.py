@@ -30,7 +30,7 @@ from nvsf_core.models.residual.pano_neighbours import (
     intensity_prior,
     phases_alone,
 )
-from nvsf_core.recipe import PanoSpec, ResidualRecipe
+from nvsf_core.recipe.residual import PanoSpec, ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.ray_renderers import field_renderer

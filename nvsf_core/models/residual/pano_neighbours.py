@@ -109,8 +109,7 @@ def _to_scene(
     clock = panos.clocks[int(np.abs(panos.time_s - time_s).argmin())]
     elapsed = clock.elapsed(sweep_fraction(azimuth))
     rotation, position = panos.trajectory.at(time_s + elapsed * panos.period_s)
-    found: np.ndarray = np.einsum("nij,nj->ni", rotation[column], up) + position[column]
-    return found
+    return np.einsum("nij,nj->ni", rotation[column], up) + position[column]
 
 
 def _cells_in(

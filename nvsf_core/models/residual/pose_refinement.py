@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,15 +25,10 @@ class AlignedDrive:
     """By camera; the poses of a camera that is not named are not corrected."""
 
     def pose_at(self, camera: str, pose: np.ndarray, time_s: float) -> np.ndarray:
-        """The corrected pose (4, 4), camera to scene-local, of a view.
+        """The corrected pose (4, 4), camera to scene-local, of a view at a time, by a camera's corrections.
 
-        The view is moved with the recording camera of its time, as if both were fixed to one vehicle: the
-        correction is expressed in that camera's frame, not in the view's.
-
-        Args:
-            camera: Name of the camera whose corrections are used.
-            pose: (4, 4) of the view before the correction, camera to scene-local.
-            time_s: Of the view, seconds since the first frame.
+        The view is moved with the recording camera of its time, seconds since the first frame, as if both
+        were fixed to one vehicle: the correction is expressed in that camera's frame, not in the view's.
         """
         correction = self.corrections.get(camera)
         if correction is None:
@@ -42,8 +38,7 @@ class AlignedDrive:
         rotation, position = path.at(np.clip([time_s], path.times_s[0], path.times_s[-1]))
         # A mounting read from a file is a rotation only up to 1e-10, so its inverse is not its transpose.
         recorded = pose_from_parts(rotation[0], position[0]) @ self.given.cameras[camera].in_lidar
-        corrected: np.ndarray = correction.at(recorded, time_s) @ (np.linalg.inv(recorded) @ pose)
-        return corrected
+        return correction.at(recorded, time_s) @ (np.linalg.inv(recorded) @ pose)
 
     def left_out_pose(self, camera: str, index: int) -> np.ndarray:
         """The corrected pose (4, 4) of a training image, from the other images' corrections alone."""
@@ -97,17 +92,17 @@ def aligned_by(world: MovingWorld, corrections: Mapping[str, PoseCorrection]) ->
     return AlignedDrive(given, MovingWorld(replace(given, cameras=cameras)), corrections)
 
 
-def facts_of(corrections: Mapping[str, PoseCorrection]) -> dict[str, dict[str, object]]:
-    """Corrections as plain JSON values."""
-    return {
-        name: {"time_s": one.time_s.tolist(), "twist": one.twist.tolist()}
-        for name, one in corrections.items()
-    }
+_Timed = TypeVar("_Timed", PoseCorrection, Exposures)
 
 
-def corrections_from(facts: Mapping[str, Mapping[str, object]]) -> dict[str, PoseCorrection]:
-    """Corrections from the values of `facts_of`."""
+def facts_of(known: Mapping[str, _Timed]) -> dict[str, dict[str, object]]:
+    """Corrections, or exposures, by camera, as plain JSON values."""
+    return {name: {key: getattr(one, key).tolist() for key in one.__slots__} for name, one in known.items()}
+
+
+def from_facts(kind: type[_Timed], facts: Mapping[str, Mapping[str, object]]) -> dict[str, _Timed]:
+    """Corrections, or exposures, from the values of `facts_of`."""
     return {
-        name: PoseCorrection(np.array(one["time_s"], np.float64), np.array(one["twist"], np.float64))
+        name: kind(**{key: np.array(values, np.float64) for key, values in one.items()})
         for name, one in facts.items()
     }

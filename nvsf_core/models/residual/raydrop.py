@@ -1,7 +1,7 @@
 """Trains the raydrop network on the sensor's own grid, and blends it with the field's ray head."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -23,7 +23,7 @@ from nvsf_core.models.residual.raydrop_grid import (
     is_corrected,
     sweep_cells,
 )
-from nvsf_core.recipe import ResidualRecipe
+from nvsf_core.recipe.residual import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording, ScanLookups
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.sweep import SweepRays
@@ -162,11 +162,6 @@ def _fitted(validated: Sequence[ValidationSweep]) -> HitBlend:
     parts = [(one.network_logit, one.ray_head_logit, one.returned, one.is_corrected) for one in validated]
     network, ray_head, returned, used = (np.concatenate(x) for x in zip(*parts, strict=True))
     return fit_blend(network[used], ray_head[used], returned[used])
-
-
-def raydrop_correction(network: CellNetwork, blend: Mapping[str, float]) -> SweepRaydrop:
-    """A trained network, ready to correct sweeps; `blend` is the fact `HITS_BLEND`."""
-    return SweepRaydrop(network, HitBlend(**blend))
 
 
 def _example(field: LidarField, recipe: ResidualRecipe, lidar: LidarRecording, number: int) -> CellExample:

@@ -35,7 +35,6 @@ class SweepRaydrop:
     """Corrects the hit probabilities of sweeps of the recording sensor in its own place."""
 
     network: CellNetwork
-    """Trained."""
     blend: HitBlend
 
     def __call__(self, rays: SweepRays, rendered: RenderedRays, lookups: ScanLookups) -> RenderedRays:
@@ -137,5 +136,4 @@ def _upright(table: LaserTable, rays: SweepRays) -> np.ndarray:
     _, firings = rays.shape
     shift_steps = (table.phase_steps - table.firing_shift_steps)[rays.laser[::firings]]
     ahead = np.rint(shift_steps * firings / table.lattice_steps).astype(np.int64)
-    columns: np.ndarray = (np.arange(firings)[None, :] + ahead[:, None]) % firings
-    return columns
+    return (np.arange(firings)[None, :] + ahead[:, None]) % firings

@@ -23,21 +23,20 @@ _SAME = 3.0
 class ToneCurve:
     """Maps levels x in 0..1 of each colour to gain * x^exponent."""
 
-    gain: tuple[float, float, float]
+    gain: tuple[float, ...]
     """Of red, green, blue."""
-    exponent: tuple[float, float, float]
+    exponent: tuple[float, ...]
 
     def of(self, rgb: np.ndarray) -> np.ndarray:
         """Images (..., 3) uint8 with mapped levels."""
         levels = self._levels()
-        mapped: np.ndarray = np.stack([levels[k][rgb[..., k]] for k in range(3)], axis=-1)
-        return mapped
+        return np.stack([levels[k][rgb[..., k]] for k in range(3)], axis=-1)
 
     def inverse(self) -> "ToneCurve":
         """The curve back."""
-        both = list(zip(self.gain, self.exponent, strict=True))
-        red, green, blue = (gain ** (-1.0 / exponent) for gain, exponent in both)
-        return ToneCurve((red, green, blue), _three([1.0 / exponent for _, exponent in both]))
+        both = zip(self.gain, self.exponent, strict=True)
+        gain = tuple(float(gain ** (-1.0 / exponent)) for gain, exponent in both)
+        return ToneCurve(gain, tuple(1.0 / exponent for exponent in self.exponent))
 
     def _levels(self) -> np.ndarray:
         """(3, 256) uint8: what each level of each colour is mapped to."""
@@ -65,7 +64,7 @@ def tone_curve(rgb: np.ndarray, like: np.ndarray) -> ToneCurve | None:
         apart.append(np.abs(own - other)[used].mean())
     if np.mean(apart) <= _SAME:
         return None
-    return ToneCurve(_three([gain for gain, _ in fits]), _three([exponent for _, exponent in fits]))
+    return ToneCurve(*zip(*fits, strict=True))
 
 
 def tones_of(recording: Recording, shared: Sequence[SharedImages]) -> dict[str, ToneCurve]:
@@ -87,8 +86,3 @@ def with_tones(recording: Recording, tones: Mapping[str, ToneCurve]) -> Recordin
         training = cameras[name].training
         cameras[name] = replace(cameras[name], training=replace(training, rgb=curve.of(training.rgb)))
     return replace(recording, cameras=cameras)
-
-
-def _three(values: Sequence[float]) -> tuple[float, float, float]:
-    red, green, blue = values
-    return red, green, blue

@@ -12,7 +12,7 @@ from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.demo.motion import EgoSpeed
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.models.baselines.reproject import reprojection
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.simulation.sweep_simulation import simulate_sweep
 from nvsf_core.simulation.view_plan import recorded_sweep
 from nvsf_core.stages.inputs import read_recording

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from nvsf_core.errors import DivergedError, RecipeError, StoreError
-from nvsf_core.recipe import Recipe, differ_in_step_size, full_name, recipe_from_json, share_of
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.presets import differ_in_step_size, full_name, recipe_from_json, share_of
 from nvsf_core.stages.runner.stage import Task
 from nvsf_core.stores.checkpoints import load_tensors, save_tensors
 from nvsf_core.stores.documents import read_document

@@ -14,7 +14,8 @@ from nvsf_core.drives.view_checks import require_views
 from nvsf_core.drives.view_truth import require_truth
 from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.metrics.lpips_file import find_weights
-from nvsf_core.recipe import Recipe, preset
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.presets import preset
 from nvsf_core.stages.flow import STAGES
 from nvsf_core.stages.runner.execution import (
     DamagedInputError,

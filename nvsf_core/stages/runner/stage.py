@@ -10,7 +10,8 @@ from nvsf_core._types import Scalar
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import CheckFailedError, DataError
 from nvsf_core.names import name_fault
-from nvsf_core.recipe import Recipe, require_seed
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.seed import require_seed
 from nvsf_core.stores.scene_store import SceneStore
 
 NOT_RUN = "not run"

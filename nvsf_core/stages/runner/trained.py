@@ -4,7 +4,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from nvsf_core.errors import RecipeError
-from nvsf_core.recipe import is_seed_folder, preset
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.seed import is_seed_folder
 from nvsf_core.stages.runner.record import RECORD_NAME, made_s, read_record
 from nvsf_core.stores.scene_store import published
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from nvsf_core.errors import RecipeError, ShapeError
-from nvsf_core.kernels import GridLayout, hash_grid_encode
+from nvsf_core.kernels.encodings.hash_grid import GridLayout, hash_grid_encode
 
 # Three dense levels (4, 8, 16 points an axis) and two hashed ones (32, 64).
 MIXED = GridLayout(levels=5, features=2, log2_table=12, base_resolution=4, finest_resolution=64)

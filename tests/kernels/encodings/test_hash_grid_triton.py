@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.kernels import GridLayout, hash_grid_encode
+from nvsf_core.kernels.encodings.hash_grid import GridLayout, hash_grid_encode
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("triton") is None, reason="Triton is not installed here"

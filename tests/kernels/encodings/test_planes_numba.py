@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.kernels import planes_sample
+from nvsf_core.kernels.encodings.planes import planes_sample
 
 SHAPES = [
     (1, 5, 9),

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from nvsf_core.errors import ShapeError
-from nvsf_core.kernels import planes_sample
+from nvsf_core.kernels.encodings.planes import planes_sample
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("triton") is None, reason="Triton is not installed")
 on_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")

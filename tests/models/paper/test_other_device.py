@@ -8,7 +8,8 @@ import torch
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
-from nvsf_core.recipe import PaperLosses, PaperRecipe, preset
+from nvsf_core.recipe.paper import PaperLosses, PaperRecipe
+from nvsf_core.recipe.presets import preset
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.inputs import read_recording

@@ -14,7 +14,9 @@ from nvsf_core.models.paper.family import train_on_frames
 from nvsf_core.models.paper.scene import training_frames
 from nvsf_core.models.paper.step import paper_step
 from nvsf_core.models.paper.training_frames import PaperTrainee
-from nvsf_core.recipe import PaperLosses, PaperRecipe, Recipe, ReferenceQuirks, preset
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.paper import PaperLosses, PaperRecipe, ReferenceQuirks
+from nvsf_core.recipe.presets import preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.sensors.linear_pano import LinearPano
 from nvsf_core.simulation.scene_model import SceneModel

@@ -7,7 +7,7 @@ import pytest
 
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.stages import SceneRun, plan_run, run_named_stage
 
 Prepare = Callable[[str, DemoSize], SceneRun]

@@ -4,7 +4,7 @@ import torch
 
 from nvsf_core.fields.layers import CellNetwork
 from nvsf_core.models.residual.cell_step import CellExample, cell_step
-from nvsf_core.recipe import LossWeights, TrainingSpec
+from nvsf_core.recipe.residual import LossWeights, PanoSpec, TrainingSpec
 from nvsf_core.training.loop import make_optimiser
 
 FEATURES = 5
@@ -24,7 +24,7 @@ def example(seed: int) -> CellExample:
 
 
 def untrained(outputs: int = 2) -> CellNetwork:
-    return CellNetwork(FEATURES, outputs, torch.Generator().manual_seed(0), channels=6, layers=1)
+    return CellNetwork(FEATURES, outputs, PanoSpec(channels=6, layers=1), torch.Generator().manual_seed(0))
 
 
 def learned(seed: int, outputs: int = 2) -> CellNetwork:

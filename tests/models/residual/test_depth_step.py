@@ -10,7 +10,7 @@ from nvsf_core.fields.depth_network import DepthNetwork
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.models.residual.camera_examples import RecordedView
 from nvsf_core.models.residual.depth_step import depth_step, sample_window
-from nvsf_core.recipe import CameraSpec, ResidualRecipe, TrainingSpec
+from nvsf_core.recipe.residual import CameraSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.rendering.camera_view import camera_view, shown_images, shrinking
 from nvsf_core.rendering.lidar_view import lidar_view
 from nvsf_core.rendering.plane_depth import likeliest_depth, plane_inverses, planes_of

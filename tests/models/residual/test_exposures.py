@@ -11,14 +11,9 @@ import torch
 from nvsf_core.demo.drive import DemoSize
 from nvsf_core.models.residual.camera import EXPOSURES, LEARNED, camera_renderer, train_camera
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
-from nvsf_core.models.residual.exposures import (
-    Exposures,
-    evened,
-    exposures_from,
-    exposures_of,
-    facts_of_exposures,
-)
-from nvsf_core.recipe import preset
+from nvsf_core.models.residual.exposures import Exposures, evened, exposures_of
+from nvsf_core.models.residual.pose_refinement import facts_of, from_facts
+from nvsf_core.recipe.presets import preset
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.image_exposure import at_exposure
 from nvsf_core.stages import SceneRun
@@ -93,7 +88,7 @@ def test_exposures_between_images_and_as_the_other_images_tell_them() -> None:
     assert [one.at(t) for t in (-1.0, 0.5, 1.0, 2.0, 9.0)] == pytest.approx([0.0, 0.25, 0.5, 0.2, -0.1])
     assert one.at(1.0, leave_out=True) == pytest.approx(-0.1 / 3.0)
     assert Exposures(np.zeros(1), np.full(1, 0.3)).at(0.0, leave_out=True) == pytest.approx(0.3)
-    back = exposures_from(json.loads(json.dumps(facts_of_exposures({CAMERA: one}))))[CAMERA]
+    back = from_facts(Exposures, json.loads(json.dumps(facts_of({CAMERA: one}))))[CAMERA]
     assert np.array_equal(back.time_s, one.time_s) and np.array_equal(back.log_gain, one.log_gain)
 
 

@@ -11,7 +11,8 @@ from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.models.baselines.reproject import reprojection
 from nvsf_core.models.residual.family import make_fields
 from nvsf_core.models.residual.lidar import SHOWS_FIELD, choose, training_for
-from nvsf_core.recipe import FieldSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import FieldSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.simulation.scene_model import SceneModel

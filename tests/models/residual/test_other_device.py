@@ -18,7 +18,7 @@ from nvsf_core.models.residual.family import make_fields
 from nvsf_core.models.residual.family import train as train_scene
 from nvsf_core.models.residual.pano import train_pano
 from nvsf_core.models.residual.raydrop import train_hits
-from nvsf_core.recipe import FieldSpec, HitsSpec, PanoSpec, ResidualRecipe, TrainingSpec
+from nvsf_core.recipe.residual import FieldSpec, HitsSpec, PanoSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.rendering.plane_depth import image_inverse_depth
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stages.field import load_trained

@@ -5,16 +5,16 @@ import pytest
 import torch
 
 from nvsf_core.fields.layers import CellNetwork
-from nvsf_core.models.residual.family import pano_network
 from nvsf_core.models.residual.pano_estimate import PanoEstimate
 from nvsf_core.models.residual.pano_neighbours import (
+    FEATURES,
     PARTS,
     Neighbours,
     cell_features,
     corrected_pano,
     phases_alone,
 )
-from nvsf_core.recipe import PanoSpec
+from nvsf_core.recipe.residual import PanoSpec
 
 SHAPE = (6, 20)
 IMAGES = {"range": 0, "intensity": 1, "hit": 2}
@@ -33,7 +33,7 @@ def expected() -> tuple[PanoEstimate, Neighbours]:
 
 
 def network(*, learned: bool) -> CellNetwork:
-    made = pano_network(PanoSpec(), torch.Generator().manual_seed(0))
+    made = CellNetwork(FEATURES, len(PARTS), PanoSpec(), torch.Generator().manual_seed(0))
     if learned:
         with torch.no_grad():
             made.layers[-1].weight.normal_(std=9.0, generator=torch.Generator().manual_seed(6))

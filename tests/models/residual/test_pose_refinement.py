@@ -12,10 +12,10 @@ from nvsf_core.demo.drive import DemoSize
 from nvsf_core.geometry.se3 import exp_se3, pose_from_parts
 from nvsf_core.models.residual.camera import ALIGNED, train_camera
 from nvsf_core.models.residual.dynamic_masks import MovingWorld
-from nvsf_core.models.residual.pose_refinement import align_drive, aligned_by, corrections_from, facts_of
-from nvsf_core.recipe import preset
+from nvsf_core.models.residual.pose_refinement import align_drive, aligned_by, facts_of, from_facts
+from nvsf_core.recipe.presets import preset
 from nvsf_core.recording.drive import Recording
-from nvsf_core.rendering.image_alignment import align_images
+from nvsf_core.rendering.image_alignment import PoseCorrection, align_images
 from nvsf_core.stages import SceneRun
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.checkpoints import StageSession
@@ -59,13 +59,13 @@ def _constant(drive: Recording, twist: np.ndarray) -> dict[str, dict[str, object
 def test_what_is_known_of_poses_survives_a_file_and_moves_images_and_views_alike(drive: Recording) -> None:
     world = MovingWorld(drive)
     aligned = aligned_by(world, align_drive(world, [CAMERA]))
-    known = corrections_from(json.loads(json.dumps(facts_of(aligned.corrections))))
+    known = from_facts(PoseCorrection, json.loads(json.dumps(facts_of(aligned.corrections))))
     again = aligned_by(world, known)
     given, moved = drive.cameras[CAMERA].training.pose, aligned.world.recording.cameras[CAMERA].training.pose
     assert np.abs(moved - given).max() > 1e-3
     assert np.array_equal(again.world.recording.cameras[CAMERA].training.pose, moved)
     assert np.array_equal(aligned.given.cameras[CAMERA].training.pose, given)
-    constant = aligned_by(world, corrections_from(_constant(drive, np.full(6, 0.003))))
+    constant = aligned_by(world, from_facts(PoseCorrection, _constant(drive, np.full(6, 0.003))))
     expected = given[2] @ exp_se3(np.full(6, 0.003))
     assert constant.left_out_pose(CAMERA, 2) == pytest.approx(expected)
 
@@ -79,7 +79,7 @@ def _recorded(drive: Recording, time_s: float) -> np.ndarray:
 
 def test_a_view_that_looks_elsewhere_goes_with_the_camera_that_recorded(drive: Recording) -> None:
     twist = np.array([0.02, -0.01, 0.03, 0.004, -0.002, 0.001])
-    aligned = aligned_by(MovingWorld(drive), corrections_from(_constant(drive, twist)))
+    aligned = aligned_by(MovingWorld(drive), from_facts(PoseCorrection, _constant(drive, twist)))
     backwards = exp_se3(np.array([0.0, 0.0, 0.0, 0.0, np.pi, 0.0]))
     aside = exp_se3(np.array([1.0, -0.5, 2.0, 0.0, 0.0, 0.3]))
     for time_s in (0.0, 0.23):
@@ -93,7 +93,7 @@ def test_a_view_that_looks_elsewhere_goes_with_the_camera_that_recorded(drive: R
 
 def test_an_image_that_was_taken_long_after_the_last_frame_is_corrected_too(drive: Recording) -> None:
     twist = np.array([0.02, -0.01, 0.03, 0.004, -0.002, 0.001])
-    aligned = aligned_by(MovingWorld(drive), corrections_from(_constant(drive, twist)))
+    aligned = aligned_by(MovingWorld(drive), from_facts(PoseCorrection, _constant(drive, twist)))
     end_s = float(drive.trajectory.times_s[-1])
     recorded = _recorded(drive, end_s)
     there = aligned.pose_at(CAMERA, recorded, end_s + 0.3)
@@ -157,5 +157,5 @@ def test_the_seconds_of_training_the_camera_are_all_that_it_took(
     assert f"{CAMERA}_judged_aligned_gain_db" in trained.metadata
     counted_s = trained.preparation_seconds + sum(state.seconds for state in trained.states.values())
     assert 0.85 * took_s < counted_s <= took_s
-    for known in corrections_from(trained.facts[ALIGNED]).values():
+    for known in from_facts(PoseCorrection, trained.facts[ALIGNED]).values():
         assert np.array_equal(known.time_s, drive.cameras[CAMERA].training_time_s)

@@ -16,7 +16,8 @@ from nvsf_core.models.residual.raydrop import (
     blend_in_rotation,
     train_hits,
 )
-from nvsf_core.recipe import FieldSpec, HitsSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec, preset
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import FieldSpec, HitsSpec, LossWeights, PanoSpec, ResidualRecipe, TrainingSpec
 from nvsf_core.recording.drive import LidarRecording, Recording
 from nvsf_core.stages.inputs import read_recording
 from nvsf_core.stages.runner.checkpoints import StageSession

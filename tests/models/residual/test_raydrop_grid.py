@@ -8,9 +8,9 @@ import torch
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.drop_prior import DropPrior
-from nvsf_core.models.residual.family import hits_network
-from nvsf_core.models.residual.raydrop_grid import SweepRaydrop, sweep_cells
-from nvsf_core.recipe import HitsSpec, TrainingSpec
+from nvsf_core.fields.layers import CellNetwork
+from nvsf_core.models.residual.raydrop_grid import FEATURES, SweepRaydrop, sweep_cells
+from nvsf_core.recipe.residual import HitsSpec, TrainingSpec
 from nvsf_core.recording.drive import RecordedSweeps, ScanLookups
 from nvsf_core.rendering.rendered import RenderedRays
 from nvsf_core.sensors.sweep import SweepRays, Trajectory, sweep_rays
@@ -47,7 +47,7 @@ def logit(share: np.ndarray, limit: float) -> np.ndarray:
 
 def test_an_untrained_network_leaves_the_mean_of_vote_and_ray_head() -> None:
     lookups, rays, rendered = scene()
-    network = hits_network(SPEC, torch.Generator().manual_seed(0))
+    network = CellNetwork(FEATURES, 1, SPEC, torch.Generator().manual_seed(0))
     corrected = SweepRaydrop(network, EVEN)(rays, rendered, lookups)
     assert rendered.hit_prior is not None
     answered = np.isfinite(rendered.range_m)
@@ -60,7 +60,7 @@ def test_an_untrained_network_leaves_the_mean_of_vote_and_ray_head() -> None:
 
 def test_a_correction_comes_back_to_the_ray_that_it_was_made_for() -> None:
     lookups, rays, rendered = scene()
-    network = hits_network(replace(SPEC, layers=0), torch.Generator().manual_seed(0))
+    network = CellNetwork(FEATURES, 1, replace(SPEC, layers=0), torch.Generator().manual_seed(0))
     with torch.no_grad():
         # Logit += 3 x the expected intensity of the cell itself, which is the last feature but one.
         network.layers[0].weight[0, -2, 1, 1] = 3.0  # type: ignore[index]
@@ -74,7 +74,7 @@ def test_a_correction_comes_back_to_the_ray_that_it_was_made_for() -> None:
 def test_what_ends_on_a_moving_object_keeps_its_own_hit_probability() -> None:
     lookups, rays, rendered = scene()
     on_object = np.arange(len(rays.laser)) % 3 == 0
-    network = hits_network(SPEC, torch.Generator().manual_seed(0))
+    network = CellNetwork(FEATURES, 1, SPEC, torch.Generator().manual_seed(0))
     corrected = SweepRaydrop(network, EVEN)(rays, replace(rendered, on_object=on_object), lookups)
     everywhere = SweepRaydrop(network, EVEN)(rays, rendered, lookups)
     assert np.array_equal(corrected.hit[on_object], rendered.hit[on_object])

@@ -15,7 +15,8 @@ from nvsf_core.models.residual.dynamic_masks import MovingWorld
 from nvsf_core.models.residual.pose_refinement import aligned_by
 from nvsf_core.models.residual.shared_images import shared_by, shared_images
 from nvsf_core.models.residual.tones import ToneCurve
-from nvsf_core.recipe import CameraSpec, preset
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import CameraSpec
 from nvsf_core.recording.drive import Recording
 from nvsf_core.rendering.camera_view import shown_images, shrinking
 from nvsf_core.stages import SceneRun

@@ -14,7 +14,8 @@ from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.models.residual.family import make_fields
-from nvsf_core.recipe import ResidualRecipe, preset
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import ResidualRecipe
 from nvsf_core.recording.drive import Recording
 from nvsf_core.simulation.ray_renderers import field_renderer
 from nvsf_core.stages import Outcome, plan_run, run_named_stage

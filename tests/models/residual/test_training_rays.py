@@ -14,7 +14,7 @@ from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
 from nvsf_core.models.residual.lidar import LidarRays, learned_scans, training_rays
-from nvsf_core.recipe import FieldSpec, ResidualRecipe
+from nvsf_core.recipe.residual import FieldSpec, ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording, Sweeps
 from nvsf_core.sensors.sweep import Trajectory
 from nvsf_core.sensors.tables import HDL_64E

@@ -9,7 +9,7 @@ import pytest
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.geometry.camera_fan import camera_rays
 from nvsf_core.geometry.fisheye import MeiFisheye
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.stages.checks.support import check_support
 from nvsf_core.stages.runner.stage import RunConfig, Task
 from nvsf_core.stores.arrays import write_arrays

@@ -8,7 +8,7 @@ import pytest
 
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.view_entry import ViewEntry
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.stages.exports.card import card_of
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.records import CameraRecord

@@ -16,7 +16,9 @@ from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import DivergedError
 from nvsf_core.models.paper import family as paper_training
 from nvsf_core.models.residual import lidar as residual_training
-from nvsf_core.recipe import FieldSpec, Recipe, TrainingSpec, preset, slower
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.presets import preset, slower
+from nvsf_core.recipe.residual import FieldSpec, TrainingSpec
 from nvsf_core.stages import Outcome, plan_run, run_named_stage
 from nvsf_core.stores.checkpoints import load_tensors
 

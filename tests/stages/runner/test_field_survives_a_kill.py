@@ -14,7 +14,9 @@ import torch
 from nvsf_core.demo.drive import DEMO_SEQUENCE, DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.models.residual import lidar as residual_training
-from nvsf_core.recipe import FieldSpec, HitsSpec, PanoSpec, Recipe, TrainingSpec, preset
+from nvsf_core.recipe.base import Recipe
+from nvsf_core.recipe.presets import preset
+from nvsf_core.recipe.residual import FieldSpec, HitsSpec, PanoSpec, TrainingSpec
 from nvsf_core.stages import plan_run, run_named_stage
 from nvsf_core.stages.runner import checkpoints
 from nvsf_core.stores.checkpoints import load_tensors

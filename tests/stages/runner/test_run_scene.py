@@ -12,7 +12,7 @@ import pytest
 
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.errors import DataError, RecipeError, StoreError
-from nvsf_core.recipe import preset
+from nvsf_core.recipe.presets import preset
 from nvsf_core.stages import STAGE_NAMES, plan_run, run_named_stage, run_scene
 from nvsf_core.stages.runner.locks import device_lock
 from nvsf_core.stages.runner.stage import Stage, StageOutput
