@@ -59,7 +59,7 @@ EVIDENCE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "hit priors, the own vehicle, and what moves and how.",
-    version="23",
+    version="24",
     run=_later("evidence", "run"),
     estimate_bytes=_later("sizes", "proof_bytes"),
 )
