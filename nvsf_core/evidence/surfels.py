@@ -13,6 +13,9 @@ from nvsf_core.kernels.voxel_march import VoxelSurfaces, WalkLimits, find_candid
 from nvsf_core.kernels.voxel_passes import count_passes
 
 _STOP_TRANSMITTANCE = 0.005
+_FAINTEST = 1e-9
+"""Share of the light that a surface stops at least: a plane that a ray misses by 20 cm, inside a large voxel,
+is no surface to it."""
 _FINEST_M, _FIELD_M = 0.1, 0.2
 """Edges of the finest voxels of `reproject`, and of those that a field corrects: finer ones do not lower its
 error and make its steps longer."""
@@ -95,7 +98,7 @@ class Surfels:
 
     def walk_limits(
         self, near_m: float, far_m: float, most: int, *,
-        stop_transmittance: float = _STOP_TRANSMITTANCE, faintest: float = 0.0,
+        stop_transmittance: float = _STOP_TRANSMITTANCE, faintest: float = _FAINTEST,
     ) -> WalkLimits:  # fmt: skip
         """Limits of a walk through these surfels.
 
