@@ -48,8 +48,8 @@ CAPABILITIES = (
     Capability(
         "evidence put together, its coarsest voxels chosen by left-out scans",
         ("models/proof.py",),
-        "left-out scans, voxels of up to 80 cm and of up to 20 cm: mean range error of an open field .059 and "
-        ".125 m, of kitti0005 .0775 (40 cm) and .0770 m, which is used there (0059)",
+        "left-out scans, voxels of up to 80 cm and of up to 20 cm: mean range error of an open field .059 "
+        "and .125 m, of kitti0005 .0775 (40 cm) and .0770 m, which is used there (0059)",
     ),
     Capability(
         "voxels as small as the returns there allow",
