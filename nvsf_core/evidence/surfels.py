@@ -235,8 +235,8 @@ class _Returns:
 
     rays: tuple[np.ndarray, np.ndarray, np.ndarray]
     """Origins and directions (n, 3), and ranges (n,), float32."""
-    place: np.ndarray
-    """(m, 3) int64 grid coordinates of the cells of the m returns that are part of a surface."""
+    voxel: np.ndarray
+    """(m,) int32 number of the voxel of each of the m returns that are part of a surface."""
     kept: np.ndarray
     """(n,) bool: whether a ray's return is."""
     index: VoxelIndex
@@ -255,7 +255,7 @@ class _Returns:
         shine = np.bincount(voxel, weights=intensity[kept], minlength=index.voxel_count)
         origin, ray = (np.ascontiguousarray(vectors, np.float32) for vectors in (origin_m, direction))
         moments = VoxelMoments(mean.astype(np.float32), covariance, hits, (shine / hits).astype(np.float32))
-        return _Returns((origin, ray, range_m), index.places()[voxel], kept, index, moments)
+        return _Returns((origin, ray, range_m), voxel, kept, index, moments)
 
     def surfels(self, voxels: SizedVoxels, *, has_shapes: bool) -> Surfels:
         """The surfels of these returns in voxels that were made from them."""
@@ -265,7 +265,7 @@ class _Returns:
         # How many of the finest voxels an edge of these voxels' cells has.
         cells = round(index.voxel_m / self.index.voxel_m)
         margin_m = np.full(len(range_m), index.voxel_m, np.float32)
-        margin_m[self.kept] *= index.edges_of(self.place // cells)
+        margin_m[self.kept] *= index.edges_of(self.index.places() // cells)[self.voxel]
         stop_m = np.maximum(range_m - _MARGIN * margin_m, 0).astype(np.float32)
         crossed, met = count_passes(
             origin_m, direction, stop_m, index, planes.mean_m, planes.normal, precision
