@@ -23,8 +23,8 @@ COARSEST_M = (0.2, 0.4, 0.8)
 """Edges that the coarsest voxels of a drive may have."""
 _NEARLY = 0.99
 """Edges that differ by less are the same."""
-_MOST_COLUMNS = 1_000_000
-"""Most columns of bricks, seen from above, that a scene of the finest voxels may have."""
+_MOST_BRICKS = 30_000_000
+"""Most bricks, of four bytes each, that a scene's box of the finest voxels may have."""
 _MARGIN = 0.25
 """Voxels before its return up to which a ray passes through voxels."""
 _NOISE_M = 0.005
@@ -199,7 +199,7 @@ class StaticReturns:
             intensity: (n,) of the return, 0..1.
             is_static: (n,) bool: the return is part of the static scene; the others' rays only pass through.
         """
-        finest_m = _finest_m(origin_m, range_m)
+        finest_m = _finest_m(origin_m + direction * range_m[:, None])
         returns = _Returns.of(origin_m, direction, range_m, intensity, finest_m, is_static)
         levels = [VoxelLevel.of(returns.index, returns.moments)]
         while levels[-1].index.voxel_m < _NEARLY * COARSEST_M[-1]:
@@ -223,10 +223,10 @@ class StaticReturns:
         return [one for one in self.levels if _NEARLY * finest_m < one.index.voxel_m < coarsest_m / _NEARLY]
 
 
-def _finest_m(origin_m: np.ndarray, range_m: np.ndarray) -> float:
-    """Edge of the finest voxels: 10 cm, or a field's where the scene is too large for a table of these."""
-    size_m = np.ptp(origin_m, axis=0) + 2.0 * range_m.max(initial=0.0)
-    return _FINEST_M if np.prod(size_m[:2] / (_FINEST_M * BRICK)) <= _MOST_COLUMNS else _FIELD_M
+def _finest_m(points_m: np.ndarray) -> float:
+    """Edge of the finest voxels of returns (n, 3): 10 cm, or a field's where their box is too large for it."""
+    bricks = np.prod(np.ptp(points_m, axis=0) / (_FINEST_M * BRICK) + 1.0) if len(points_m) else 0.0
+    return _FINEST_M if bricks <= _MOST_BRICKS else _FIELD_M
 
 
 @dataclass(frozen=True, slots=True)

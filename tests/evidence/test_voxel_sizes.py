@@ -102,3 +102,9 @@ def test_moments_of_merged_voxels_are_those_of_their_points() -> None:
     np.testing.assert_allclose(merged.mean_m, expected[0], atol=1e-6)
     np.testing.assert_allclose(merged.covariance, expected[1], atol=1e-6)
     assert merged.returns.sum() == 3000 and merged.intensity == pytest.approx(0.5)
+
+
+def test_a_scene_too_large_for_the_finest_voxels_has_a_field_s() -> None:
+    corners = np.array([[10.0, 0.0, 0.0], [3000.0, 3000.0, 0.0], [10.0, 1.0, 60.0]])
+    assert static(corners).shown(0.8).index.voxel_m == pytest.approx(0.2)
+    assert static(corners[[0, 2]]).shown(0.8).index.voxel_m == pytest.approx(0.1)
