@@ -224,7 +224,7 @@ class StaticReturns:
 
 
 def _finest_m(points_m: np.ndarray) -> float:
-    """Edge of the finest voxels of returns (n, 3): 10 cm, or a field's where their box is too large for it."""
+    """Edge of the finest voxels of returns (n, 3): 10 cm, or a field's where their box is too large."""
     bricks = np.prod(np.ptp(points_m, axis=0) / (_FINEST_M * BRICK) + 1.0) if len(points_m) else 0.0
     return _FINEST_M if bricks <= _MOST_BRICKS else _FIELD_M
 
