@@ -20,6 +20,7 @@ _ENOUGH_RETURNS = 4.0
 _ALWAYS_M, _MOSTLY = 0.3, 0.8
 """Voxels with longer edges are used where such a share of a brick's returns lies on thin planes."""
 _THIN_M = 0.06
+"""Standard deviation of returns across a thin plane, at most."""
 _Arrays = TypeVar("_Arrays", "VoxelMoments", VoxelPlanes)
 _BOX = np.stack(np.unravel_index(np.arange(BRICK**3), (BRICK,) * 3), axis=1)
 
