@@ -12,6 +12,8 @@ from nvsf_core.errors import DataError
 
 BRICK = 8
 """Cells along each edge of a brick."""
+_EMPTY_LEVELS = 3
+"""Empty bricks are put together to cubes of 2, 4 and 8 an edge."""
 
 
 class VoxelIndex(NamedTuple):
@@ -22,7 +24,8 @@ class VoxelIndex(NamedTuple):
     voxel_m: float
     """Edge of a cell, which is the smallest voxel, metres."""
     bricks: np.ndarray
-    """(bx, by, bz) int32: a brick's row in `cells`, or -1."""
+    """(bx, by, bz) int32: a brick's row in `cells`; of an empty one -1 - k: it lies in a cube of 2^k bricks an
+    edge, whose corner is a multiple of that, that is empty as a whole."""
     cells: np.ndarray
     """(n_bricks, 512) int32: number of the voxel that a cell is of, or -1."""
     occupied: np.ndarray
@@ -61,7 +64,7 @@ class VoxelIndex(NamedTuple):
         inside = np.all((place >= 0) & (place < np.array(self.bricks.shape) * BRICK), axis=1)
         x, y, z = place[inside].T
         row = self.bricks[x // BRICK, y // BRICK, z // BRICK]
-        number = self.cells[row, x % BRICK * BRICK**2 + y % BRICK * BRICK + z % BRICK]
+        number = self.cells[np.maximum(row, 0), x % BRICK * BRICK**2 + y % BRICK * BRICK + z % BRICK]
         found = np.full(len(place), -1, np.int32)
         found[inside] = np.where(row >= 0, number, -1)
         return found
@@ -111,6 +114,7 @@ def index_cells(place: np.ndarray, origin_m: np.ndarray, voxel_m: float) -> tupl
     brick = np.ravel_multi_index((place // BRICK).T, shape)
     bricks = np.full(shape, -1, np.int32)
     bricks_found, brick = _number(bricks.reshape(-1), brick)
+    _mark_empty_cubes(bricks)
     within = place % BRICK
     cell = brick.astype(np.int64) * BRICK**3 + (within[:, 0] * 64 + within[:, 1] * 8 + within[:, 2])
     cells = np.full((bricks_found, BRICK**3), -1, np.int32)
@@ -129,6 +133,19 @@ def _number(table: np.ndarray, place: np.ndarray) -> tuple[int, np.ndarray]:
     named = np.flatnonzero(table == 0)
     table[named] = np.arange(len(named), dtype=np.int32)
     return len(named), table[place]
+
+
+def _mark_empty_cubes(bricks: np.ndarray) -> None:
+    """Write into each empty brick in how large an empty cube it lies, see `VoxelIndex.bricks`.
+
+    A ray crosses such a cube in one step. Cubes that reach over the grid's border are not counted.
+    """
+    for level in range(1, _EMPTY_LEVELS + 1):
+        edge = 1 << level
+        x, y, z = (length // edge for length in bricks.shape)
+        # A view: what is written to it is written to the bricks.
+        cubes = bricks[: x * edge, : y * edge, : z * edge].reshape(x, edge, y, edge, z, edge)
+        cubes.transpose(0, 2, 4, 1, 3, 5)[(cubes < 0).all(axis=(1, 3, 5))] = -1 - level
 
 
 def voxel_moments(

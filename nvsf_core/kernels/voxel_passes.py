@@ -75,7 +75,7 @@ def _count_ray(  # type: ignore[no-untyped-def]
     x_density, y_density, z_density = abs(dx) / voxel_m, abs(dy) / voxel_m, abs(dz) / voxel_m
     while True:
         row = bricks[x >> 3, y >> 3, z >> 3]
-        last = edges[row] - 1 if row >= 0 else BRICK - 1
+        last = edges[row] - 1 if row >= 0 else (BRICK << (-1 - row)) - 1
         if last > 0:
             x, x_next, y, y_next, z, z_next = cross_cube(
                 last, x, x_step, x_next, x_length, x_density, y, y_step, y_next, y_length, y_density,
