@@ -12,7 +12,8 @@ from nvsf_core.geometry.voxels import BRICK, VoxelIndex, index_points, occupied_
 from nvsf_core.kernels.voxel_march import VoxelSurfaces, WalkLimits, find_candidates
 from nvsf_core.kernels.voxel_passes import count_passes
 
-_STOP_TRANSMITTANCE = 0.005
+_STOP_TRANSMITTANCE = 0.02
+"""Less light says nothing about the median, and of the mean intensity no more than this (decision 0059)."""
 _FAINTEST = 1e-9
 """Share of the light that a surface stops at least: a plane that a ray misses by 20 cm, inside a large voxel,
 is no surface to it."""
@@ -83,6 +84,11 @@ class Surfels:
             mean_m=a["mean_m"], normal=a["normal"], precision=a["precision"], thickness_m=a["thickness_m"],
             intensity=a["intensity"], hits=a["hits"], passes=a["passes"],
         )  # fmt: skip
+
+    @property
+    def count(self) -> int:
+        """Number of surfels; faster than the index's own count."""
+        return len(self.hits)
 
     @cached_property
     def opacity(self) -> np.ndarray:

@@ -52,7 +52,7 @@ def reproject_rays(
     rays = np.unique(np.concatenate([ray for ray, _ in met]))
     if len(rays) > 0:
         found = candidates_of(surfels, origin_m[rays], direction[rays], most=most, near_m=NEAR_M, far_m=far_m)
-        found = merge_objects(found, rays, surfels.index.voxel_count, objects, met)
+        found = merge_objects(found, rays, surfels.count, objects, met)
         own_priors = [
             (np.searchsorted(rays, ray), one.hit_prior(own, origin_m[ray], direction[ray], time_s[ray]))
             for one, (ray, own) in zip(objects, met, strict=True)
@@ -98,14 +98,14 @@ def _prior_with_objects(
 
     `own_priors` are, for each object, the indices (k,) of the rays that meet it, and its hit prior (k,).
     """
-    weights, first = found.weights, surfels.index.voxel_count
+    weights, first = found.weights, surfels.count
     on_objects, own = np.zeros(len(hit_prior)), np.zeros(len(hit_prior))
     for one, (rays, share) in zip(objects, own_priors, strict=True):
-        is_its = (found.voxel[rays] >= first) & (found.voxel[rays] < first + one.surfels.index.voxel_count)
+        is_its = (found.voxel[rays] >= first) & (found.voxel[rays] < first + one.surfels.count)
         on_it = np.where(is_its, weights[rays], 0.0).sum(axis=1)
         on_objects[rays] += on_it
         own[rays] += on_it * share
-        first += one.surfels.index.voxel_count
+        first += one.surfels.count
     mixed: np.ndarray = hit_prior.copy()
     rows = np.flatnonzero(on_objects > 0.5 * weights.sum(axis=1))
     mixed[rows] = own[rows] / on_objects[rows]

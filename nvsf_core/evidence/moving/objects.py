@@ -254,7 +254,7 @@ def merge_objects(
     )  # fmt: skip
     number = first_voxel
     for one, (ray, own) in zip(objects, met, strict=True):
-        first_voxel, number = number, number + one.surfels.index.voxel_count
+        first_voxel, number = number, number + one.surfels.count
         rows = np.searchsorted(rays, ray)
         own_voxel = np.where(own.voxel >= 0, own.voxel + first_voxel, -1)
         voxels = np.concatenate([voxel[rows], own_voxel], axis=1)
