@@ -15,67 +15,6 @@ _GAPS = "unit_gaps"
 _PATH = ("scan", "time_s", "pose")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DynamicEvidence:
-    """A scene with moving objects, split into its static part and the objects."""
-
-    static: Surfels
-    """Surfels of the static part; rays that end on moving objects count as passing through, too."""
-    objects: tuple[ObjectEvidence, ...]
-    """At least one."""
-
-    @property
-    def flowing(self) -> int:
-        """Number of objects with a flow, because no rigid motion explains how they move."""
-        return sum(one.flow_m is not None for one in self.objects)
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Named arrays that `from_arrays` reads back."""
-        paths, rays = [one.path for one in self.objects], [one.rays for one in self.objects]
-        arrays = {f"background_{name}": value for name, value in self.static.to_arrays().items()}
-        arrays["object_path_offsets"] = _offsets([len(path.scan) for path in paths])
-        arrays["object_ray_offsets"] = _offsets([len(one.scan) for one in rays])
-        arrays["object_bounds_m"] = np.array([[path.low_m, path.high_m] for path in paths], np.float64)
-        arrays["object_frame_s"] = np.array([path.frame_s for path in paths], np.float64)
-        arrays["object_voxel_m"] = np.array([one.voxel_m for one in self.objects], np.float64)
-        for number, one in enumerate(self.objects):
-            if one.flow_m is not None:
-                arrays[f"object_flow_m_{number}"] = one.flow_m
-        for name in _PATH:
-            arrays[f"object_path_{name}"] = np.concatenate([getattr(path, name) for path in paths])
-        for name in ObjectRays.__slots__:
-            arrays[f"object_ray_{name}"] = np.concatenate([getattr(one, name) for one in rays])
-        return arrays
-
-    @staticmethod
-    def from_arrays(arrays: dict[str, np.ndarray]) -> "DynamicEvidence | None":
-        """Read back what `to_arrays` gave; None where nothing moves."""
-        if "object_frame_s" not in arrays:
-            return None
-        objects = []
-        for number, frame_s in enumerate(arrays["object_frame_s"]):
-            path = slice(*arrays["object_path_offsets"][number : number + 2].tolist())
-            rays = slice(*arrays["object_ray_offsets"][number : number + 2].tolist())
-            low_m, high_m = arrays["object_bounds_m"][number]
-            objects.append(
-                ObjectEvidence(
-                    MovingObject(
-                        scan=arrays["object_path_scan"][path],
-                        time_s=arrays["object_path_time_s"][path],
-                        pose=arrays["object_path_pose"][path],
-                        frame_s=float(frame_s),
-                        low_m=low_m,
-                        high_m=high_m,
-                    ),
-                    ObjectRays(*(arrays[f"object_ray_{name}"][rays] for name in ObjectRays.__slots__)),
-                    float(arrays["object_voxel_m"][number]),
-                    arrays.get(f"object_flow_m_{number}"),
-                )
-            )
-        static = {name: arrays[f"background_{name}"] for name in Surfels.ARRAYS}
-        return DynamicEvidence(Surfels.from_arrays(static), tuple(objects))
-
-
 @dataclass(frozen=True, slots=True)
 class LeftOutEvidence:
     """Static surfels built without the validation scans."""
@@ -110,8 +49,9 @@ class LeftOutEvidence:
 class SceneEvidence:
     """One scene's evidence, scene-local metres."""
 
-    surfels: Surfels
-    """Of all returns, those of moving objects included."""
+    static: Surfels
+    """Of the static scene, in voxels of the sizes that fields use; rays that end on moving objects count as
+    passing through, too."""
     prior: DropPrior
     lasers: np.ndarray
     """(l,) int16: lasers that ever returned, from the top."""
@@ -121,8 +61,8 @@ class SceneEvidence:
     """(lasers, cells) float32 metres: range of the own vehicle by laser and azimuth cell; 0 = not on it."""
     own_intensity: np.ndarray
     """(lasers, cells) float32, 0..1."""
-    dynamic: DynamicEvidence | None = None
-    """None where no moving object was found."""
+    objects: tuple[ObjectEvidence, ...] = ()
+    """The moving objects."""
     stationary: StationaryScans | None = None
     """None where the sensor never stood or crawled."""
     rendered: Surfels | None = None
@@ -136,24 +76,19 @@ class SceneEvidence:
     the sensor moved too little to tell."""
 
     @property
-    def static(self) -> Surfels:
-        """Static surfels: all of them where no moving object was found."""
-        return self.surfels if self.dynamic is None else self.dynamic.static
-
-    @property
     def for_rendering(self) -> Surfels:
         """Static surfels for `reproject`, the renderer without learning."""
         return self.static if self.rendered is None else self.rendered
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Named arrays that `from_arrays` reads back."""
-        moving = {} if self.dynamic is None else self.dynamic.to_arrays()
+        moving = _object_arrays(self.objects) if self.objects else {}
         stationary = {} if self.stationary is None else self.stationary.to_arrays()
         rendered = {} if self.rendered is None else _prefixed(_RENDERED, self.rendered)
         left_out = {} if self.left_out is None else self.left_out.to_arrays()
         unobserved = {} if self.unobserved is None else _prefixed(_UNKNOWN, self.unobserved)
         gaps = {} if self.unit_gaps is None else {_GAPS: self.unit_gaps}
-        return self.surfels.to_arrays() | moving | stationary | rendered | left_out | unobserved | gaps | {
+        return self.static.to_arrays() | moving | stationary | rendered | left_out | unobserved | gaps | {
             "prior_time_s": self.prior.time_s, "prior_fraction": self.prior.fraction,
             "prior_is_hit": self.prior.is_hit, "lasers": self.lasers, "firings": self.firings,
             "own_range_m": self.own_range_m, "own_intensity": self.own_intensity,
@@ -165,12 +100,51 @@ class SceneEvidence:
         a = arrays
         prior = DropPrior(a["prior_time_s"], a["prior_fraction"], a["prior_is_hit"])
         return SceneEvidence(
-            surfels=Surfels.from_arrays(a), prior=prior, lasers=a["lasers"], firings=a["firings"],
+            static=Surfels.from_arrays(a), prior=prior, lasers=a["lasers"], firings=a["firings"],
             own_range_m=a["own_range_m"], own_intensity=a["own_intensity"],
-            dynamic=DynamicEvidence.from_arrays(a), stationary=StationaryScans.from_arrays(a),
+            objects=_objects_from(a), stationary=StationaryScans.from_arrays(a),
             rendered=_surfels(_RENDERED, a), left_out=LeftOutEvidence.from_arrays(a),
             unobserved=_surfels(_UNKNOWN, a), unit_gaps=a.get(_GAPS),
         )  # fmt: skip
+
+
+def _object_arrays(objects: tuple[ObjectEvidence, ...]) -> dict[str, np.ndarray]:
+    """Named arrays of moving objects, at least one, that `_objects_from` reads back."""
+    paths, rays = [one.path for one in objects], [one.rays for one in objects]
+    arrays = {
+        "object_path_offsets": _offsets([len(path.scan) for path in paths]),
+        "object_ray_offsets": _offsets([len(one.scan) for one in rays]),
+        "object_bounds_m": np.array([[path.low_m, path.high_m] for path in paths], np.float64),
+        "object_frame_s": np.array([path.frame_s for path in paths], np.float64),
+        "object_voxel_m": np.array([one.voxel_m for one in objects], np.float64),
+    }
+    for number, one in enumerate(objects):
+        if one.flow_m is not None:
+            arrays[f"object_flow_m_{number}"] = one.flow_m
+    for name in _PATH:
+        arrays[f"object_path_{name}"] = np.concatenate([getattr(path, name) for path in paths])
+    for name in ObjectRays.__slots__:
+        arrays[f"object_ray_{name}"] = np.concatenate([getattr(one, name) for one in rays])
+    return arrays
+
+
+def _objects_from(arrays: dict[str, np.ndarray]) -> tuple[ObjectEvidence, ...]:
+    """Read back what `_object_arrays` gave; empty where nothing moves."""
+    objects = []
+    for number, frame_s in enumerate(arrays.get("object_frame_s", ())):
+        path = slice(*arrays["object_path_offsets"][number : number + 2].tolist())
+        rays = slice(*arrays["object_ray_offsets"][number : number + 2].tolist())
+        low_m, high_m = arrays["object_bounds_m"][number]
+        way = {name: arrays[f"object_path_{name}"][path] for name in _PATH}
+        objects.append(
+            ObjectEvidence(
+                MovingObject(**way, frame_s=float(frame_s), low_m=low_m, high_m=high_m),
+                ObjectRays(*(arrays[f"object_ray_{name}"][rays] for name in ObjectRays.__slots__)),
+                float(arrays["object_voxel_m"][number]),
+                arrays.get(f"object_flow_m_{number}"),
+            )
+        )
+    return tuple(objects)
 
 
 def _prefixed(prefix: str, surfels: Surfels) -> dict[str, np.ndarray]:

@@ -8,8 +8,9 @@ import numpy as np
 
 from nvsf_core.evidence.voxel_planes import joined_planes, own_planes
 from nvsf_core.evidence.voxel_sizes import SizedVoxels, VoxelLevel, VoxelMoments, sized_voxels
-from nvsf_core.geometry.voxels import BRICK, VoxelIndex, index_points, occupied_bits, voxel_moments
+from nvsf_core.geometry.voxels import BRICK, VoxelIndex, index_points, occupied_bits
 from nvsf_core.kernels.voxel_march import VoxelSurfaces, WalkLimits, find_candidates
+from nvsf_core.kernels.voxel_moments import voxel_moments
 from nvsf_core.kernels.voxel_passes import count_passes
 
 _STOP_TRANSMITTANCE = 0.02

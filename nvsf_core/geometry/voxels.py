@@ -24,8 +24,8 @@ class VoxelIndex(NamedTuple):
     voxel_m: float
     """Edge of a cell, which is the smallest voxel, metres."""
     bricks: np.ndarray
-    """(bx, by, bz) int32: a brick's row in `cells`; of an empty one -1 - k: it lies in a cube of 2^k bricks an
-    edge, whose corner is a multiple of that, that is empty as a whole."""
+    """(bx, by, bz) int32: a brick's row in `cells`; of an empty one -1 - k: the cube of 2^k bricks an edge in
+    which it lies, if bricks are counted off in such cubes, is empty as a whole."""
     cells: np.ndarray
     """(n_bricks, 512) int32: number of the voxel that a cell is of, or -1."""
     occupied: np.ndarray
@@ -96,7 +96,9 @@ def index_points(points_m: np.ndarray, voxel_m: float) -> tuple[VoxelIndex, np.n
     if np.prod((highest - lowest) / (voxel_m * BRICK) + 2.0) > 250_000_000:
         raise DataError(f"evidence: the returns span {highest - lowest} m, too much for {voxel_m} m voxels")
     low = np.floor(lowest / voxel_m) * voxel_m - voxel_m
-    return index_cells(np.floor((points_m - low) / voxel_m).astype(np.int32), low, voxel_m)
+    place = points_m - low
+    place /= voxel_m
+    return index_cells(np.floor(place, out=place).astype(np.int32), low, voxel_m)
 
 
 def index_cells(place: np.ndarray, origin_m: np.ndarray, voxel_m: float) -> tuple[VoxelIndex, np.ndarray]:
@@ -111,11 +113,12 @@ def index_cells(place: np.ndarray, origin_m: np.ndarray, voxel_m: float) -> tupl
         The index, and (n,) int32 voxel numbers.
     """
     shape = place.max(axis=0) // BRICK + 1
-    brick = np.ravel_multi_index((place // BRICK).T, shape)
+    # Shifts and masks of whole numbers are several times as fast as their division.
+    brick = np.ravel_multi_index((place >> 3).T, shape)
     bricks = np.full(shape, -1, np.int32)
     bricks_found, brick = _number(bricks.reshape(-1), brick)
     _mark_empty_cubes(bricks)
-    within = place % BRICK
+    within = place & (BRICK - 1)
     cell = brick.astype(np.int64) * BRICK**3 + (within[:, 0] * 64 + within[:, 1] * 8 + within[:, 2])
     cells = np.full((bricks_found, BRICK**3), -1, np.int32)
     _, voxel = _number(cells.reshape(-1), cell)
@@ -146,28 +149,6 @@ def _mark_empty_cubes(bricks: np.ndarray) -> None:
         # A view: what is written to it is written to the bricks.
         cubes = bricks[: x * edge, : y * edge, : z * edge].reshape(x, edge, y, edge, z, edge)
         cubes.transpose(0, 2, 4, 1, 3, 5)[(cubes < 0).all(axis=(1, 3, 5))] = -1 - level
-
-
-def voxel_moments(
-    points_m: np.ndarray, voxel: np.ndarray, returns: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (v, 3) and covariance (v, 3, 3) float64 of each voxel's points, metres.
-
-    Args:
-        points_m: (n, 3) metres.
-        voxel: (n,) number of the voxel of each point, from `index_points`.
-        returns: (v,) number of points in each voxel, at least 1.
-    """
-    count = len(returns)
-    total = np.stack([np.bincount(voxel, weights=points_m[:, a], minlength=count) for a in range(3)], axis=1)
-    mean = total / returns[:, None]
-    centred = points_m - mean[voxel]
-    covariance = np.empty((count, 3, 3))
-    for a in range(3):
-        for b in range(a, 3):
-            moment = np.bincount(voxel, weights=centred[:, a] * centred[:, b], minlength=count) / returns
-            covariance[:, a, b] = covariance[:, b, a] = moment
-    return mean, covariance
 
 
 PLANE_POINTS = 8

@@ -4,7 +4,7 @@ Three choices are made by the errors on scans that are left out: the size of the
 objects get a flow besides their rigid motion, and whether scans are copied where the sensor rested.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,12 +21,11 @@ from nvsf_core.evidence.moving.detection import find_moving_objects
 from nvsf_core.evidence.moving.object_evidence import MovingObjects, ObjectEvidence
 from nvsf_core.evidence.moving.objects import prove_objects
 from nvsf_core.evidence.moving.visibility import TimedReturns
-from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
+from nvsf_core.evidence.scene_evidence import LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.stationary_scans import StationaryScans, find_stationary_scans, keep_scans
 from nvsf_core.evidence.surfels import COARSEST_M, StaticReturns, Surfels, unobserved_beside
 from nvsf_core.kernels.threads import in_parts
 from nvsf_core.models.holdout import choose_copying, is_sure, mean_range_error_m
-from nvsf_core.recipe.residual import EvidenceSpec
 from nvsf_core.recording.drive import LidarRecording, Sweeps, training_returns
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import sweep_rays
@@ -121,19 +120,14 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
     coarsest_m = COARSEST_M[0] if choice is None else choice.coarsest_m
     static = rays.static()
     of_field, shown = static.field(coarsest_m), static.shown(coarsest_m)
-    surfels, dynamic = of_field, None
-    if not moving.is_static:
-        surfels = replace(rays, is_static=np.ones(len(rays.scan), bool)).static().field(coarsest_m)
-        objects = _prove_motion(sweeps, returns, moving, of_training)
-        dynamic = DynamicEvidence(static=of_field, objects=objects)
     evidence = SceneEvidence(
-        surfels=surfels,
+        static=of_field,
         prior=prior,
         lasers=lasers[lasers >= 0].astype(np.int16),
         firings=firings.astype(np.int32),
         own_range_m=a["own_vehicle_range_m"],
         own_intensity=a["own_vehicle_intensity"],
-        dynamic=dynamic,
+        objects=() if moving.is_static else _prove_motion(sweeps, returns, moving, of_training),
         stationary=_stationary_scans(sweeps, of_training, prior),
         rendered=shown,
         left_out=None if choice is None else choice.left_out,
@@ -159,9 +153,10 @@ def _unit_gaps(sweeps: Sweeps, prior: DropPrior, surfels: Surfels) -> np.ndarray
             sweeps.table, lasers, GAP_CELLS, sweeps.trajectory, float(prior.time_s[scan]), sweeps.period_s,
             clock=sweeps.clock_near(float(prior.time_s[scan])),
         )  # fmt: skip
+        # Whether a ray meets anything, its first surface tells.
         rendered = reproject_rays(
             surfels, rays.origin_m, rays.direction, np.ones(len(rays.laser), np.float32),
-            most=EvidenceSpec().lidar_candidates, far_m=float(sweeps.table.max_range_m),
+            most=1, far_m=float(sweeps.table.max_range_m),
         )  # fmt: skip
         is_met[number] = np.isfinite(rendered.range_m).reshape(rays.shape)
     return find_unit_gaps(prior, scans, is_met)

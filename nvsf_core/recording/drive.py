@@ -302,10 +302,8 @@ class LidarRecording:
         return self._near_objects(None)
 
     def _near_objects(self, leave_out: int | None) -> NearObjects | None:
-        dynamic = self.evidence.dynamic
-        if dynamic is None:
-            return None
-        return NearObjects(dynamic.objects, self.object_hit_priors, leave_out=leave_out)
+        objects = self.evidence.objects
+        return NearObjects(objects, self.object_hit_priors, leave_out=leave_out) if objects else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

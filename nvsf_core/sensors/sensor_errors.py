@@ -7,7 +7,8 @@ Lasers also record the same surface at different brightness.
 
 import numpy as np
 
-from nvsf_core.geometry.voxels import index_points, voxel_moments
+from nvsf_core.geometry.voxels import index_points
+from nvsf_core.kernels.voxel_moments import voxel_moments
 
 _VOXEL_M = 0.8
 _MIN_RETURNS = 12

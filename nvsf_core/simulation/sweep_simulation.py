@@ -308,10 +308,10 @@ def support_of_sweep(
 
 def _is_recorded(evidence: SceneEvidence, rays: SweepRays, ends_m: np.ndarray) -> np.ndarray:
     """Whether (r,) bool a return was recorded in the voxel that a ray ends in, just before or behind it."""
-    here = _holds(evidence.surfels, ends_m)
+    here = _holds(evidence.static, ends_m)
     found = here.copy()
     for shift_m in (-_SHIFT_M, _SHIFT_M):
-        found |= _holds(evidence.surfels, ends_m + shift_m * rays.direction)
+        found |= _holds(evidence.static, ends_m + shift_m * rays.direction)
     if evidence.unobserved is not None:
         # An unobserved voxel lies beside a surface, but nothing was recorded in it.
         found &= here | ~_holds(evidence.unobserved, ends_m)

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.evidence.moving.object_evidence import boxes_on_way
-from nvsf_core.evidence.scene_evidence import DynamicEvidence, SceneEvidence
+from nvsf_core.evidence.moving.object_evidence import ObjectEvidence, boxes_on_way
+from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.models.proof import prove_scene
 from nvsf_core.stages.inputs import read_sweeps
@@ -20,7 +20,7 @@ def run(task: Task) -> StageOutput:
     sweeps = read_sweeps(task.store)
     if sweeps is None:
         write_arrays(task.folder / "evidence.zarr", {})
-        write_table(task.folder / "moving.parquet", _moving_boxes(None, np.eye(4)))
+        write_table(task.folder / "moving.parquet", _moving_boxes((), np.eye(4)))
         return StageOutput(metadata={"evidence": "cameras alone: nothing is proven, everything is learned"})
     if not sweeps.is_training.any():
         raise DataError(
@@ -30,8 +30,8 @@ def run(task: Task) -> StageOutput:
     evidence, tried = prove_scene(sweeps)
     write_arrays(task.folder / "evidence.zarr", evidence.to_arrays())
     scene_to_world = sweeps.trajectory.scene_to_world
-    write_table(task.folder / "moving.parquet", _moving_boxes(evidence.dynamic, scene_to_world))
-    surfels = evidence.surfels
+    write_table(task.folder / "moving.parquet", _moving_boxes(evidence.objects, scene_to_world))
+    surfels = evidence.static
     seen_through = float(surfels.hits[surfels.passes > surfels.hits].sum() / surfels.hits.sum())
     return StageOutput(
         metadata={
@@ -62,10 +62,10 @@ def run(task: Task) -> StageOutput:
     )
 
 
-def _moving_boxes(dynamic: DynamicEvidence | None, scene_to_world: np.ndarray) -> dict[str, list[Any]]:
+def _moving_boxes(objects: tuple[ObjectEvidence, ...], scene_to_world: np.ndarray) -> dict[str, list[Any]]:
     """Columns of `moving.parquet`: the box of each moving object at each scan that saw it."""
     columns: dict[str, list[Any]] = {"object_id": [], "time_s": [], "box_to_world": []}
-    for number, one in enumerate(() if dynamic is None else dynamic.objects, start=1):
+    for number, one in enumerate(objects, start=1):
         columns["object_id"] += [number] * len(one.path.time_s)
         columns["time_s"] += one.path.time_s.tolist()
         columns["box_to_world"] += (scene_to_world @ boxes_on_way(one)).reshape(-1, 16).tolist()
@@ -81,12 +81,11 @@ def _plane_thickness(surfels: Surfels) -> dict[str, float]:
 
 def _moving(evidence: SceneEvidence) -> dict[str, float]:
     """Metadata: how many objects move, how many of them bend, and their share of the returns."""
-    if evidence.dynamic is None:
+    if not evidence.objects:
         return {"moving_objects": 0}
-    objects = evidence.dynamic.objects
-    hits = sum(int(one.rays.is_hit.sum()) for one in objects)
+    hits = sum(int(one.rays.is_hit.sum()) for one in evidence.objects)
     return {
-        "moving_objects": len(objects),
-        "moving_objects_with_flow": evidence.dynamic.flowing,
-        "moving_returns_share": hits / float(evidence.surfels.hits.sum()),
+        "moving_objects": len(evidence.objects),
+        "moving_objects_with_flow": sum(one.flow_m is not None for one in evidence.objects),
+        "moving_returns_share": hits / float(hits + evidence.static.hits.sum()),
     }

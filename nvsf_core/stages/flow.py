@@ -59,7 +59,7 @@ EVIDENCE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "hit priors, the own vehicle, and what moves and how.",
-    version="24",
+    version="25",
     run=_later("evidence", "run"),
     estimate_bytes=_later("sizes", "proof_bytes"),
 )
@@ -69,7 +69,7 @@ FIELD = Stage(
     inputs=("frames", "sweeps", "pano", "undistorted", "evidence"),
     description="The scene's trained model, for each sensor that the drive has, with the recipe and the "
     "training curve.",
-    version="40",
+    version="41",
     run=_later("field", "run"),
     estimate_bytes=_later("sizes", "field_bytes"),
     per_recipe=True,
@@ -90,7 +90,7 @@ NOVEL_VIEWS = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="36",
+    version="37",
     run=_later("novel_views", "run"),
     per_recipe=True,
     reads_views=True,

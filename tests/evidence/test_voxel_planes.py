@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from nvsf_core.evidence.voxel_planes import VoxelPlanes, joined_planes, own_planes
-from nvsf_core.geometry.voxels import VoxelIndex, index_points, voxel_moments
+from nvsf_core.geometry.voxels import VoxelIndex, index_points
+from nvsf_core.kernels.voxel_moments import voxel_moments
 
 VOXEL_M, NOISE_M, KERB_M, A_VOXEL = 0.2, 0.015, 0.12, 4
 

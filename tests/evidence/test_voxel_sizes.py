@@ -5,7 +5,8 @@ import pytest
 
 from nvsf_core.evidence.surfels import StaticReturns, Surfels
 from nvsf_core.evidence.voxel_sizes import VoxelMoments
-from nvsf_core.geometry.voxels import index_points, voxel_moments
+from nvsf_core.geometry.voxels import index_points
+from nvsf_core.kernels.voxel_moments import voxel_moments
 from nvsf_core.rendering.reproject import reproject_rays
 
 DENSE, SPARSE = 2000.0, 6.0

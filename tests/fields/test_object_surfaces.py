@@ -1,14 +1,20 @@
 """Laws of the field on moving objects: a plate that slides past a wall."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 import torch
 
 from nvsf_core.evidence.drop_prior import DropPrior
-from nvsf_core.evidence.moving.object_evidence import MovingObject, MovingObjects, ObjectHitPriors
+from nvsf_core.evidence.moving.object_evidence import (
+    MovingObject,
+    MovingObjects,
+    ObjectEvidence,
+    ObjectHitPriors,
+)
 from nvsf_core.evidence.moving.objects import ObjectSurfels, objects_at, prove_objects
-from nvsf_core.evidence.scene_evidence import DynamicEvidence
-from nvsf_core.evidence.surfels import build_surfels
+from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.fields.lidar_field import (
     LidarField,
     ObjectSurfaces,
@@ -42,8 +48,15 @@ def plate_centre_m(time_s: np.ndarray) -> np.ndarray:
     return 10.0 * time_s - 2.5
 
 
+class Scene(NamedTuple):
+    """Surfels without the moving plate, and the plate."""
+
+    static: Surfels
+    objects: tuple[ObjectEvidence, ...]
+
+
 @pytest.fixture(scope="module")
-def dynamic() -> DynamicEvidence:
+def dynamic() -> Scene:
     """Six scans; in the third the plate is brighter than in all others."""
     rng = np.random.default_rng(0)
     scan = np.repeat(np.arange(SCANS), 6000)
@@ -62,10 +75,10 @@ def dynamic() -> DynamicEvidence:
     moving = MovingObjects((path,), np.where(on_plate, 0, -1).astype(np.int32))
     rays = (origin, direction, range_m, intensity)
     objects = prove_objects(moving, *rays, time_s, np.arange(SCANS + 1) * 6000)
-    return DynamicEvidence(build_surfels(*rays, voxel_m=0.2, is_surface=~on_plate), objects)
+    return Scene(build_surfels(*rays, voxel_m=0.2, is_surface=~on_plate), objects)
 
 
-def plate_at(dynamic: DynamicEvidence, time_s: float, leave_out: int | None = None) -> tuple[ObjectSurfels]:
+def plate_at(dynamic: Scene, time_s: float, leave_out: int | None = None) -> tuple[ObjectSurfels]:
     """The plate about a time, half of whose surfels the scans never got back."""
     instants = np.arange(SCANS) * FRAME_S
     is_hit = np.ones((64, 400), bool)
@@ -79,13 +92,13 @@ def plate_at(dynamic: DynamicEvidence, time_s: float, leave_out: int | None = No
 
 
 @pytest.fixture(scope="module")
-def view(dynamic: DynamicEvidence) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def view(dynamic: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(3)
     origin, direction = rays_towards(rng.uniform(-4.5, 4.5, 800), rng.uniform(-0.4, 0.4, 800))
     return origin, direction, rng.uniform(0.22, 0.28, 800)
 
 
-def batch_of(dynamic: DynamicEvidence, view, field: LidarField, most: int = 24) -> SurfaceBatch:
+def batch_of(dynamic: Scene, view, field: LidarField, most: int = 24) -> SurfaceBatch:
     places = field.places(dynamic.objects)
     objects = object_surfaces(plate_at(dynamic, 0.25), places, *view, **LIMITS)
     return surface_batch(dynamic.static, *view[:2], most=most, objects=objects, **LIMITS)

@@ -24,3 +24,16 @@ def test_a_voxel_has_a_bit_where_it_has_a_number() -> None:
                 bit = (index.occupied[:, x] >> np.uint64(BRICK * y + z)) & np.uint64(1)
                 assert ((bit == 1) == (index.cells[:, (x * BRICK + y) * BRICK + z] >= 0)).all()
     assert int(np.bitwise_count(index.occupied).sum()) == index.voxel_count
+
+
+def test_an_empty_brick_tells_in_how_large_an_empty_cube_it_lies() -> None:
+    index, _ = index_points(np.random.default_rng(3).uniform(0.0, 100.0, (30, 3)), 0.5)
+    marks = index.bricks
+    assert len(np.unique(marks[marks < 0])) == 4, "single empty bricks, and cubes of 2, 4 and 8 an edge"
+    for level in range(1, 4):
+        edge = 1 << level
+        for corner in np.ndindex(*(length // edge for length in marks.shape)):
+            cube = marks[tuple(slice(edge * c, edge * (c + 1)) for c in corner)]
+            assert ((cube <= -1 - level).all()) == ((cube < 0).all())
+    place = np.argwhere(marks < 0) * BRICK
+    assert (index.find(place) == -1).all()

@@ -101,6 +101,25 @@ def walked(surfels: Surfels, stop: float = 0.0, faintest: float = 0.0) -> tuple[
     )
 
 
+def test_empty_cubes_are_crossed_as_their_bricks_are_one_by_one() -> None:
+    points = heaps_m() * [1.0, 1.0, 5.0]
+    range_m = np.linalg.norm(points, axis=1)
+    direction = (points / range_m[:, None]).astype(np.float32)
+    origin = np.zeros_like(direction)
+    surfels = build_surfels(origin, direction, range_m.astype(np.float32), range_m * 0.0, voxel_m=0.2)
+    bricks = surfels.index.bricks
+    assert (bricks == -4).any()
+    # From where the returns were recorded, and from beside it.
+    rays = np.concatenate([origin, origin + np.float32(0.05)]), np.concatenate([direction, direction])
+    limits = WalkLimits(NEAR_M, FAR_M, 200, 0.0, 0.0)
+    one_by_one = surfels.index._replace(bricks=np.maximum(bricks, -1))
+    found = find_candidates(*rays, surfels.index, surfels.surfaces, limits)
+    expected = find_candidates(*rays, one_by_one, surfels.surfaces, limits)
+    assert expected[4].sum() > 0
+    for one, other in zip(found, expected, strict=True):
+        assert one == pytest.approx(other, abs=1e-5)
+
+
 def test_a_ray_meets_exactly_the_voxels_whose_slabs_it_crosses_in_their_order(sparse) -> None:
     origin, direction = some_rays()
     range_m, voxel, opacity, _, count = walked(sparse)

@@ -8,7 +8,7 @@ import pytest
 from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.moving.object_evidence import ObjectEvidence, ObjectHitPriors
 from nvsf_core.evidence.moving.objects import objects_at
-from nvsf_core.evidence.scene_evidence import DynamicEvidence
+from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.models.proof import choose_flow
 from nvsf_core.rendering.reproject import reproject_rays
@@ -93,11 +93,16 @@ def test_what_is_too_far_to_be_resolved_stays_rigid(walking: Walk) -> None:
 
 def test_only_the_flow_of_what_bends_is_stored(walking: Walk) -> None:
     shown = walking.evidence.with_flow()
-    arrays = DynamicEvidence(ANYTHING, (walking.evidence, shown)).to_arrays()
+    prior = DropPrior(np.zeros(1), np.zeros((1, 4), np.float32), np.ones((1, 1, 4), bool))
+    own = np.zeros((1, 4), np.float32)
+    scene = SceneEvidence(
+        ANYTHING, prior, np.zeros(1, np.int16), np.array([4]), own, own, (walking.evidence, shown)
+    )
+    arrays = scene.to_arrays()
     assert [name for name in arrays if "flow" in name] == ["object_flow_m_1"]
-    back = DynamicEvidence.from_arrays(arrays)
-    assert back is not None and back.flowing == 1 and back.objects[0].flow_m is None
-    np.testing.assert_array_equal(back.objects[1].flow_m, shown.flow_m)
+    rigid, bent = SceneEvidence.from_arrays(arrays).objects
+    assert rigid.flow_m is None
+    np.testing.assert_array_equal(bent.flow_m, shown.flow_m)
 
 
 def test_somebody_stiff_allocates_no_flow() -> None:

@@ -59,7 +59,7 @@ def test_a_field_of_a_static_scene_asks_nobody_about_motion_and_answers_from_its
     hit_prior = np.full(8, 0.7, np.float32)
     render = field_renderer(field, scene.static, _moving(scene), most=8, far_m=50.0)
     rendered = render(origin, direction, hit_prior, np.full(8, 99.0))
-    batch = surface_batch(scene.surfels, origin, direction, most=8, near_m=NEAR_M, far_m=50.0)
+    batch = surface_batch(scene.static, origin, direction, most=8, near_m=NEAR_M, far_m=50.0)
     assert (batch.hit_prior < 0.0).all()
     expected = render_rays(field, batch, torch.from_numpy(hit_prior))
     for name in ("range_m", "hit", "intensity"):

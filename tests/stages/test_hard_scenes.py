@@ -293,7 +293,7 @@ def test_poses_far_out_give_the_same_evidence(drive: Path, tmp_path: Path) -> No
         _run(layout, UP_TO_EVIDENCE)
         evidence = read_evidence(SceneStore(tmp_path / name / "home", "tiny"))
         assert evidence is not None
-        found.append(evidence.surfels)
+        found.append(evidence.static)
     near, far = found
     assert len(near.hits) == len(far.hits) and np.array_equal(near.hits, far.hits)
     assert np.abs(near.mean_m - far.mean_m).max() <= 1e-3

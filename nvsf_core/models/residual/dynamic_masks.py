@@ -20,8 +20,7 @@ class MovingWorld:
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
-        dynamic = None if recording.lidar is None else recording.lidar.evidence.dynamic
-        self._objects = () if dynamic is None else dynamic.objects
+        self._objects = () if recording.lidar is None else recording.lidar.evidence.objects
         self._static: dict[int, np.ndarray] = {}
 
     def static_points(

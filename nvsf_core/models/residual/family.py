@@ -58,7 +58,7 @@ def make_fields(recipe: ResidualRecipe, recording: Recording, seed: int) -> Resi
         if recipe.pano is not None and recipe.pano.training is not None:
             sampler = torch.Generator().manual_seed(seed + 2)
             pano = CellNetwork(PANO_FEATURES, len(PARTS), recipe.pano, sampler)
-        points_m = recording.lidar.evidence.surfels.mean_m
+        points_m = recording.lidar.evidence.static.mean_m
         lidar = LidarField.around(points_m, recipe.lidar_field, torch.Generator().manual_seed(seed))
     return ResidualFields(lidar=lidar, hits=hits, pano=pano)
 

@@ -99,7 +99,7 @@ def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarFie
             time_s, recipe.evidence.votes, leave_out_s=None if alone else time_s
         )
         both = (_returned_rays(lidar, scan, prior_scans), _dropped_rays(lidar, number, prior_scans))
-        return [rays for rays, _ in both] if evidence.dynamic is None else _meet(lidar, field, number, both)
+        return [rays for rays, _ in both] if not evidence.objects else _meet(lidar, field, number, both)
 
     joined = join_rays([rays for both in in_parts(rays_of, len(learned)) for rays in both])
     if (evidence.lasers < 0).all():
@@ -167,10 +167,8 @@ def _meet(
     lidar: LidarRecording, field: LidarField, number: int, both: tuple[tuple[LidarRays, np.ndarray], ...]
 ) -> list[LidarRays]:
     """Rays of a training scan with the moving objects on their way, from the evidence of the other scans."""
-    evidence = lidar.evidence
-    assert evidence.dynamic is not None
-    objects, places = evidence.dynamic.objects, field.places(evidence.dynamic.objects)
-    time_s = float(evidence.prior.time_s[number])
+    objects, places = lidar.evidence.objects, field.places(lidar.evidence.objects)
+    time_s = float(lidar.evidence.prior.time_s[number])
     there = objects_at(objects, time_s, lidar.object_hit_priors, leave_out=number)
     return [
         replace(

@@ -1,15 +1,21 @@
 """Laws of moving objects' own evidence, on a plate that slides past a wall."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.drop_prior import DropPrior, build_drop_prior
-from nvsf_core.evidence.moving.object_evidence import MovingObject, MovingObjects, ObjectHitPriors
+from nvsf_core.evidence.moving.object_evidence import (
+    MovingObject,
+    MovingObjects,
+    ObjectEvidence,
+    ObjectHitPriors,
+)
 from nvsf_core.evidence.moving.objects import NearObjects, candidates_on, objects_at, prove_objects
-from nvsf_core.evidence.scene_evidence import DynamicEvidence, SceneEvidence
+from nvsf_core.evidence.scene_evidence import SceneEvidence
 from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import Trajectory
@@ -32,9 +38,16 @@ def plate_centre_m(time_s: np.ndarray | float) -> np.ndarray | float:
     return SPEED_M_S * np.asarray(time_s) - 2.5
 
 
+class Scene(NamedTuple):
+    """Surfels without the moving plate, and the plate."""
+
+    static: Surfels
+    objects: tuple[ObjectEvidence, ...]
+
+
 @pytest.fixture(scope="module")
-def passing() -> tuple[DynamicEvidence, Surfels]:
-    """The dynamic evidence of six scans, and the surfels of everything as if nothing moved."""
+def passing() -> tuple[Scene, Surfels]:
+    """What six scans prove, and the surfels of everything as if nothing moved."""
     rng = np.random.default_rng(0)
     count = 6000
     scan = np.repeat(np.arange(SCANS), count)
@@ -54,7 +67,7 @@ def passing() -> tuple[DynamicEvidence, Surfels]:
     rays = (origin, direction, range_m.astype(np.float32), intensity)
     objects = prove_objects(moving, *rays, time_s, np.arange(SCANS + 1) * count)
     static = build_surfels(*rays, voxel_m=0.2, is_surface=~on_plate)
-    return DynamicEvidence(static, objects), build_surfels(*rays, voxel_m=0.2)
+    return Scene(static, objects), build_surfels(*rays, voxel_m=0.2)
 
 
 def votes_of(is_hit: np.ndarray) -> ObjectHitPriors:
@@ -250,7 +263,14 @@ def test_evidence_comes_back_from_its_arrays(passing) -> None:
     )  # fmt: skip
     own = np.zeros((1, 4), np.float32)
     scene = SceneEvidence(
-        everything, prior, np.zeros(1, np.int16), np.array([4]), own, own, dynamic, unobserved=everything
+        everything,
+        prior,
+        np.zeros(1, np.int16),
+        np.array([4]),
+        own,
+        own,
+        dynamic.objects,
+        unobserved=everything,
     )
     arrays = scene.to_arrays()
     again = SceneEvidence.from_arrays(arrays).to_arrays()
@@ -267,5 +287,5 @@ def test_a_static_scene_stores_nothing_dynamic(passing) -> None:
     own = np.zeros((1, 4), np.float32)
     scene = SceneEvidence(everything, prior, np.zeros(1, np.int16), np.array([4]), own, own)
     arrays = scene.to_arrays()
-    assert not any(name.startswith(("object", "background")) for name in arrays)
-    assert SceneEvidence.from_arrays(arrays).dynamic is None
+    assert not any(name.startswith("object") for name in arrays)
+    assert SceneEvidence.from_arrays(arrays).objects == ()

@@ -144,7 +144,7 @@ def test_judges_are_not_trained_on_and_what_judges_is_proven_without_them(broken
         for number in np.delete(np.arange(len(training)), evidence.left_out.validation)
     )
     assert returns < int(broken.outcome.metadata["training_rays"]) <= returns + drops
-    assert int(evidence.left_out.static.hits.sum()) <= returns < int(evidence.surfels.hits.sum())
+    assert int(evidence.left_out.static.hits.sum()) <= returns < int(evidence.static.hits.sum())
 
 
 def test_a_drive_of_few_scans_is_not_judged_and_shows_the_field(broken: Judged) -> None:

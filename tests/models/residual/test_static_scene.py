@@ -49,7 +49,7 @@ def static(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, Outcome
 
 def test_a_static_scene_says_so(static: tuple[Recording, Outcome]) -> None:
     recording, outcome = static
-    assert recording.lidar is not None and recording.lidar.evidence.dynamic is None
+    assert recording.lidar is not None and not recording.lidar.evidence.objects
     said = outcome.metadata
     assert said["moving_objects"] == 0 and "moving_objects_with_flow" not in said
     unobserved = recording.lidar.evidence.unobserved
@@ -60,9 +60,9 @@ def test_a_scene_in_which_objects_move_says_how_many(tmp_path: Path) -> None:
     run = proven_drive(tmp_path, preset("smoke"), firings=200, held_out=(4,), traffic=2)
     recording, record = read_recording(run.store), read_record(run.store.require("evidence"))
     assert recording.lidar is not None and record is not None
-    dynamic, said = recording.lidar.evidence.dynamic, record["metadata"]
-    assert dynamic is not None and said["moving_objects"] == len(dynamic.objects) > 0
-    assert said["moving_objects_with_flow"] == dynamic.flowing
+    objects, said = recording.lidar.evidence.objects, record["metadata"]
+    assert said["moving_objects"] == len(objects) > 0
+    assert said["moving_objects_with_flow"] == sum(one.flow_m is not None for one in objects)
     assert 0.0 < said["moving_returns_share"] < 0.5
 
 
@@ -71,9 +71,9 @@ def test_a_static_scene_allocates_nothing_that_depends_on_time(static: tuple[Rec
     assert recording.lidar is not None and recording.lidar.moving() is None
     recipe = preset("smoke")
     assert isinstance(recipe, ResidualRecipe)
-    # Of what moves a drive stores each object's rays and path, and surfels without it.
+    # Of what moves a drive stores each object's rays and path.
     stored = recording.lidar.evidence.to_arrays()
-    assert stored and not [name for name in stored if name.startswith(("object_", "background_"))]
+    assert stored and not [name for name in stored if name.startswith("object_")]
     fields = make_fields(recipe, recording, 0)
     names = fields.tensors()
     assert {name.split(".")[0] for name in names} == {"lidar", "hits"}

@@ -9,7 +9,7 @@ import torch
 from nvsf_core.evidence.drop_prior import DropPrior
 from nvsf_core.evidence.moving.object_evidence import MovingObject, MovingObjects
 from nvsf_core.evidence.moving.objects import prove_objects
-from nvsf_core.evidence.scene_evidence import DynamicEvidence, LeftOutEvidence, SceneEvidence
+from nvsf_core.evidence.scene_evidence import LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.surfels import build_surfels
 from nvsf_core.fields.lidar_field import LidarField
 from nvsf_core.geometry.bounds import Bounds
@@ -49,17 +49,14 @@ def drive() -> LidarRecording:
         np.array([-0.05, -1.0, -0.5]), np.array([0.05, 1.0, 0.5]),
     )  # fmt: skip
     moving = MovingObjects((path,), np.where(on_plate, 0, -1).astype(np.int32))
-    dynamic = DynamicEvidence(
-        build_surfels(*rays, voxel_m=0.2, is_surface=~on_plate),
-        prove_objects(moving, *rays, time_s, offsets),
-    )
     is_hit = np.ones((SCANS, 64, 400), bool)
     is_hit[:, 20] = False
     firing = np.tile((np.arange(400, dtype=np.float32) + 0.5) / 400 - 0.5, (SCANS, 1))
     own = np.zeros((64, 400), np.float32)
     evidence = SceneEvidence(
-        build_surfels(*rays, voxel_m=0.2), DropPrior(instants, firing, is_hit),
-        np.arange(64, dtype=np.int16), np.full(SCANS, 400, np.int32), own, own, dynamic,
+        build_surfels(*rays, voxel_m=0.2, is_surface=~on_plate), DropPrior(instants, firing, is_hit),
+        np.arange(64, dtype=np.int16), np.full(SCANS, 400, np.int32), own, own,
+        prove_objects(moving, *rays, time_s, offsets),
     )  # fmt: skip
     arrays = {
         "time_s": instants, "offsets": offsets, "is_own_vehicle": np.zeros(len(scan), bool),
@@ -113,10 +110,9 @@ def test_on_an_object_no_learned_hit_is_shown(drive: LidarRecording) -> None:
 
 
 def test_rays_of_a_static_scene_carry_nothing_dynamic(drive: LidarRecording) -> None:
-    static = replace(drive, evidence=replace(drive.evidence, dynamic=None))
+    static = replace(drive, evidence=replace(drive.evidence, objects=()))
     rays = rays_of(static)
     assert rays.objects is None
-    assert static.evidence.static is static.evidence.surfels
     assert len(rays) == SCANS * (RETURNS + 400)
 
 
@@ -129,7 +125,7 @@ def unknown_lasers(drive: LidarRecording, *scans: int) -> LidarRecording:
     prior = replace(evidence.prior, is_hit=is_hit)
     return LidarRecording(
         sweeps=replace(drive.sweeps, arrays=drive.sweeps.arrays | {"laser": laser}),
-        evidence=replace(evidence, prior=prior, dynamic=None),
+        evidence=replace(evidence, prior=prior, objects=()),
     )
 
 
@@ -148,6 +144,6 @@ def test_one_scan_of_known_lasers_trains_as_one_scan_alone(drive: LidarRecording
 
 def test_neither_judges_nor_silent_scans_are_learned_from(drive: LidarRecording) -> None:
     judged = unknown_lasers(drive, 1)
-    left_out = LeftOutEvidence(np.array([2, 4]), drive.evidence.surfels)
+    left_out = LeftOutEvidence(np.array([2, 4]), drive.evidence.static)
     judged = replace(judged, evidence=replace(judged.evidence, left_out=left_out))
     assert learned_scans(judged) == [(0, 0), (3, 3), (5, 5)]
