@@ -29,8 +29,8 @@ def counts(rows: Sequence[Mapping[str, Any]]) -> str:
             [subject, *(f"{count:,}" for count in (found.total(), *(found[kind] for kind in _MEANING)))]
         )
     table = markdown_table(["harmed", "cases", *_MEANING], lines, "| --- |" + " ---: |" * (len(_MEANING) + 1))
-    words = "; ".join(f"{kind}: {meaning}" for kind, meaning in _MEANING.items())
-    return f"{table}\n{words[0].upper()}{words[1:]}.\n"
+    words = "".join(f"- *{kind}*: {meaning}\n" for kind, meaning in _MEANING.items())
+    return f"{table}\n{words}"
 
 
 def silent(rows: Sequence[Mapping[str, Any]]) -> str:
