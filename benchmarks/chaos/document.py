@@ -48,7 +48,7 @@ def each(rows: Sequence[Row]) -> str:
         [number, row["event"], row["how"][:_LONGEST_HOW], f"{row['seconds']:.0f}", _outcome(row)]
         for number, row in enumerate(rows, start=1)
     ]
-    titles = ["", "event", "how", "s", "outcome"]
+    titles = ["number", "event", "details", "seconds", "outcome"]
     return documents.markdown_table(titles, lines, "| ---: | --- | --- | ---: | --- |")
 
 
