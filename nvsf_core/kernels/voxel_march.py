@@ -33,6 +33,8 @@ SOFT_M = 0.01
 """A plane that a ray misses inside its voxel, by d, stops exp(-d / SOFT_M) of what it stops else, and a ray
 that misses it by more has not seen through it (decision 0057): rays that graze a road cross many voxels
 above it."""
+PAST_M = 0.1
+"""A plane that a ray misses inside its voxel is met where it goes on, up to so far before and behind."""
 RAYS_A_TASK = 256
 """Rays that one thread renders before it takes more."""
 
@@ -234,9 +236,10 @@ def meet(means, normals, precisions, voxel, ox, oy, oz, dx, dy, dz, t_in, t_out)
         t_out: Where it leaves it.
 
     Returns:
-        Metres along the ray, inside the voxel; by how many metres it misses the plane there, 0 without a
-        plane; how far it passes from the mean, in squares of the returns' standard deviation;
-        cosine of the angle between ray and normal, -1 without a plane.
+        Metres along the ray, inside the voxel or, on a plane that is missed there, at most `PAST_M` beside
+        it; by how many metres the ray misses the plane inside the voxel, 0 without a plane; how far it passes
+        from the mean, in squares of the returns' standard deviation; cosine of the angle between ray and
+        normal, -1 without a plane.
     """
     mx, my, mz = means[voxel, 0] - ox, means[voxel, 1] - oy, means[voxel, 2] - oz
     nx, ny, nz = normals[voxel, 0], normals[voxel, 1], normals[voxel, 2]
@@ -247,7 +250,8 @@ def meet(means, normals, precisions, voxel, ox, oy, oz, dx, dy, dz, t_in, t_out)
             at, apart = _closest(precisions, voxel, mx, my, mz, dx, dy, dz)
         return min(max(at, t_in), t_out), 0.0, apart, -1.0
     across, slant = float(nx * mx + ny * my + nz * mz), float(nx * dx + ny * dy + nz * dz)
-    at = min(max(across / slant if abs(slant) > 1e-6 else -1.0, t_in), t_out)
+    plane = across / slant if abs(slant) > 1e-6 else t_in
+    at = min(max(plane, t_in), t_out)
     first, last = across - slant * t_in, across - slant * t_out
     # On one side of the plane all the way.
     off_m = min(abs(first), abs(last)) if first * last > 0.0 else 0.0
@@ -255,7 +259,7 @@ def meet(means, normals, precisions, voxel, ox, oy, oz, dx, dy, dz, t_in, t_out)
     if has_extents:
         ex, ey, ez = mx - at * dx, my - at * dy, mz - at * dz
         apart = _squared(precisions, voxel, ex, ey, ez)
-    return at, off_m, apart, abs(slant)
+    return min(max(plane, at - PAST_M), at + PAST_M), off_m, apart, abs(slant)
 
 
 @njit(cache=True)
@@ -293,7 +297,7 @@ def walk(  # type: ignore[no-untyped-def]
     y, y_step, y_next, y_length = first_voxel(oy, dy, t, grid_origin[1], voxel_m, y_voxels)
     z, z_step, z_next, z_length = first_voxel(oz, dz, t, grid_origin[2], voxel_m, z_voxels)
     x_density, y_density, z_density = abs(dx) / voxel_m, abs(dy) / voxel_m, abs(dz) / voxel_m
-    light = 1.0
+    light, reached = 1.0, near_m
     found = 0
     while True:
         row = bricks[x >> 3, y >> 3, z >> 3]
@@ -310,6 +314,8 @@ def walk(  # type: ignore[no-untyped-def]
                 at, off_m, apart, incidence = meet(
                     means, normals, precisions, voxel, ox, oy, oz, dx, dy, dz, t, t_out
                 )  # fmt: skip
+                # Planes that go on beside their voxels stay in the voxels' order.
+                reached = min(max(at, reached), far_m)
                 alpha = float(opacities[voxel])
                 if incidence < 0.0:
                     alpha *= math.exp(-_FALL * apart) if apart <= REACH else _MISSED_SHARE
@@ -320,7 +326,7 @@ def walk(  # type: ignore[no-untyped-def]
                     if apart > REACH:
                         alpha *= _BESIDE_PLANE_SHARE
                 if alpha * light >= faintest:
-                    range_m[found] = at
+                    range_m[found] = reached
                     voxels[found] = voxel
                     opacity[found] = alpha
                     cosine[found] = incidence
@@ -353,10 +359,10 @@ def find_candidates(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """The surfaces that each ray may end on, in order.
 
-    A voxel's candidate is where the ray meets its plane (normal not 0), else where it passes its returns (or,
-    without extents, their mean) closest, kept inside the voxel. Opacity falls off from the middle of returns
-    that are no plane, and with the distance by which a plane is missed inside its voxel; beyond their ends
-    little is left of the ones, half of the others.
+    A voxel's candidate is where the ray meets its plane (normal not 0), inside the voxel or a little beside
+    it; else where it passes its returns (or, without extents, their mean) closest, kept inside the voxel.
+    Opacity falls off from the middle of returns that are no plane, and with the distance by which a plane is
+    missed inside its voxel; beyond their ends little is left of the ones, half of the others.
 
     Args:
         origins: (n, 3) float32, scene-local.

@@ -27,10 +27,11 @@ def _wall(rays: int = 4000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _surfels(
-    origins: np.ndarray, directions: np.ndarray, ranges: np.ndarray, voxel_m: float = 0.25
-) -> Surfels:
+    origins: np.ndarray, directions: np.ndarray, ranges: np.ndarray, voxel_m: float = 0.25,
+    *, joined: bool = True,
+) -> Surfels:  # fmt: skip
     brightness = np.ones(len(ranges), np.float32)
-    return build_surfels(origins, directions, ranges, brightness, voxel_m=voxel_m)
+    return build_surfels(origins, directions, ranges, brightness, voxel_m=voxel_m, joined=joined)
 
 
 def _opacity() -> Reading:
@@ -59,11 +60,11 @@ def _logit() -> float:
 
 
 def _million_in_a_voxel() -> Reading:
-    """Mean and thickness of a flat heap of returns, against exact sums."""
+    """Mean and thickness of a flat heap of returns, of its voxel alone, against exact sums."""
     rng = np.random.default_rng(1)
     points = np.array([150.0, -130.0, 2.0]) + rng.normal(0, 1, (1_000_000, 3)) * np.array([0.02, 0.02, 1e-4])
     down = np.tile([0.0, 0.0, 1.0], (len(points), 1))
-    surfels = _surfels(points - 5.0 * down, down, np.full(len(points), 5.0), voxel_m=1.0)
+    surfels = _surfels(points - 5.0 * down, down, np.full(len(points), 5.0), voxel_m=1.0, joined=False)
     fullest = int(surfels.hits.argmax())
     inside = points[index_points(points, 1.0)[1] == fullest]
     exact = np.array([math.fsum(inside[:, axis]) / len(inside) for axis in range(3)])
