@@ -34,7 +34,8 @@ SOFT_M = 0.01
 that misses it by more has not seen through it (decision 0057): rays that graze a road cross many voxels
 above it."""
 PAST_M = 0.1
-"""A plane that a ray misses inside its voxel is met where it goes on, up to so far before and behind."""
+"""A plane that a ray misses inside its voxel is met where it goes on, up to so far before and behind
+(decision 0060)."""
 RAYS_A_TASK = 256
 """Rays that one thread renders before it takes more."""
 
