@@ -14,7 +14,7 @@ from nvsf_core.kernels.voxel_moments import voxel_moments
 from nvsf_core.kernels.voxel_passes import count_passes
 
 _STOP_TRANSMITTANCE = 0.02
-"""Less light says nothing about the median, and of the mean intensity no more than this (decision 0060)."""
+"""Less light hardly ever decides which surface is the median, nor much of the intensity (decision 0060)."""
 _FAINTEST = 1e-9
 """Share of the light that a surface stops at least: a plane that a ray misses by 20 cm, inside a large voxel,
 is no surface to it."""
