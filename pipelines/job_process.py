@@ -8,7 +8,7 @@ from pathlib import Path
 from types import FrameType
 
 from nvsf_core.drives.catalogue import home_from_environment
-from nvsf_core.stages.runner.run import say_on_stderr
+from nvsf_core.stages.runner.run import find_scene, say_on_stderr
 from nvsf_core.stores.scene_store import require_home
 from pipelines.instance import DAGSTER, make_instance
 
@@ -27,8 +27,11 @@ def run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
         seed: Of training.
 
     Raises:
+        DataError: The catalogue has no scene of such a name; nothing was started.
         StoreError: NVSF_HOME cannot be written to, or Dagster's instance cannot be made.
     """
+    for name in scenes:
+        find_scene(name)
     home = home_from_environment(os.environ)
     chosen = {"SCENES": " ".join(scenes), "RECIPE": recipe, "SEED": str(seed), "NVSF_HOME": str(home)}
     require_home(home)  # first: Dagster, whose history lies there, would say less of what is wrong

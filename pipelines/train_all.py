@@ -57,15 +57,18 @@ class SceneChoice(dg.Config):
     description="Name the scenes: those asked for, else every one that has data; the demo drive is written.",
 )
 def choose_scenes(context: dg.OpExecutionContext, workspace: Workspace, config: SceneChoice) -> Iterator[Any]:
-    """Fan out over the scenes. Without data, one asked for by name counts as failed; others are left out."""
+    """Fan out over the scenes. Without data, one asked for by name counts as failed; others are left out.
+
+    A name that the catalogue has not is a slip of who asked: nothing is started for it.
+    """
     say_whose_run_it_is(context.instance, context.run.run_id)
+    asked = config.scenes or os.environ.get("SCENES", "").split()
     try:
         workspace.require_possible()
+        names = [find_scene(name).name for name in dict.fromkeys(asked)] or [one.name for one in catalogue()]
     except NvsfError as error:
         raise dg.Failure(description=str(error), allow_retries=False) from error
     remove_old_values()
-    asked = config.scenes or os.environ.get("SCENES", "").split()
-    names = list(dict.fromkeys(asked)) or [entry.name for entry in catalogue()]
     absent: list[str] = []
     there: list[str] = []
     keys: set[str] = set()

@@ -7,6 +7,7 @@ from pathlib import Path
 from nvsf_core import metrics, reporting
 from nvsf_core._types import Scalar
 from nvsf_core.errors import NvsfError, StoreError
+from nvsf_core.names import RESERVED_SCENES, name_fault
 from nvsf_core.reporting.report import write_report
 from nvsf_core.reporting.scene_outputs import SceneOutputs, collect_scene, measured_scenes
 from nvsf_core.reporting.speed_plots import speed_section
@@ -18,7 +19,7 @@ from nvsf_core.stages.runner.locks import LOCKS, file_lock
 from nvsf_core.stages.runner.record import RECORD_NAME, content_of, made_s, read_record
 from nvsf_core.stages.versions import VERSIONS
 from nvsf_core.stages.versions_page import made_from, write_versions_page
-from nvsf_core.stores.scene_store import publish_folder, published
+from nvsf_core.stores.scene_store import SceneStore, publish_folder, published
 
 _PAGE, _SOURCE = "index.html", "made_from.sha256"
 _REPORTING, _METRICS = Path(reporting.__file__).parent, Path(metrics.__file__).parent
@@ -58,7 +59,9 @@ def make_benchmark_report(
     failures = remembered_failures(home, STAGE_NAMES) | dict(failures)
     others = [name for name in sorted({*measured_scenes(home), *failures}) if name not in own]
     target = home / "benchmark_report"
-    source = _source(home, [*own, *others], (failures, list(no_data)), curves)
+    # One of another name has no folder; it is shown with what was said of it.
+    stored = [name for name in [*own, *others] if name_fault(name, RESERVED_SCENES) is None]
+    source = _source(home, stored, ([*own, *others], failures, list(no_data)), curves)
     if (target / _PAGE).is_file() and _written(target / _SOURCE) == source:
         return target / _PAGE
     scenes = [_collected(home, name, failures.get(name)) for name in [*own, *others]]
@@ -70,7 +73,7 @@ def make_benchmark_report(
         with lock, publish_folder(target) as folder:
             scenes = [with_view_files(folder, home, scene) for scene in scenes]
             written = write_report(folder, scenes, no_data, speed_section(curves, shown))
-            write_versions_page(folder, home, [scene.name for scene in scenes])
+            write_versions_page(folder, home, stored)
             (folder / _SOURCE).write_text(source)
     except OSError as error:
         raise StoreError(
@@ -114,7 +117,7 @@ def _written(path: Path) -> str | None:
 def _collected(home: Path, name: str, failure: str | None) -> SceneOutputs:
     """A scene's outputs; if they are damaged or of earlier code, only that reason."""
     try:
-        return collect_scene(home, name, stage_records(home / name), failure)
+        return collect_scene(home, name, stage_records(SceneStore(home, name).root), failure)
     # Any error may be raised here, and no scene's stored data may prevent the report of the others.
     except Exception as error:
         fault = f"what was published cannot be read: {error if isinstance(error, NvsfError) else repr(error)}"

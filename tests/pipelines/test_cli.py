@@ -170,6 +170,12 @@ def test_a_catalogue_that_cannot_be_read_is_what_the_doctor_says(ask, monkeypatc
     assert said.exit_code == 1 and "MISSING catalogue: " in said.output
 
 
+def test_an_unknown_scene_is_not_trained_and_nothing_is_made(ask, tmp_path):
+    said = ask("train", "Tiny", "tiny")
+    assert said.exit_code == 1 and "did you mean tiny?" in said.output, said.output
+    assert not (tmp_path / "home").exists()
+
+
 def test_an_unknown_scene_is_one_line(ask):
     said = ask("view", "nobody")
     assert said.exit_code == 1 and "no scene 'nobody'" in said.output and "Traceback" not in said.output

@@ -158,9 +158,14 @@ def test_a_scene_asked_for_by_name_without_data_fails(run_job):
     assert "FAILED  gone: drive: no data at" in said and "good: " in said
 
 
-def test_an_unknown_scene_fails_by_name(run_job):
-    result, said = run_job("nowhere_street")
-    assert not result.success and "no scene 'nowhere_street'" in said
+@pytest.mark.parametrize(
+    ("name", "hint"), [("GOOD", "did you mean good?"), ("../x", "it has good"), ("good,bad", "by blanks")]
+)
+def test_a_name_that_the_catalogue_has_not_is_refused_before_any_scene_is_begun(run_job, name, hint):
+    result, _ = run_job("bad", name)
+    message = result.failure_data_for_node("choose_scenes").error.message
+    assert f"no scene '{name}' in the catalogue" in message and hint in message
+    assert not _events(result, "ASSET_CHECK_EVALUATION")
 
 
 def test_the_second_run_skips_and_says_so(run_job):

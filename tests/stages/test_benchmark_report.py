@@ -358,6 +358,12 @@ def test_a_scene_of_this_run_that_cannot_be_read_is_named_and_costs_no_page(tmp_
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".publishing")] == []
 
 
+def test_a_name_that_can_be_no_folder_s_costs_no_page(tmp_path: Path) -> None:
+    write_street(tmp_path / "home", "street")
+    page, text = _read(make_benchmark_report(tmp_path / "home", ["street", "../x"], {"../x": "no such"}, []))
+    assert "../x failed:" in text and "no such" in text and 'id="street"' in page
+
+
 def test_failures_of_earlier_runs_are_shown_until_the_stage_succeeds(tmp_path: Path) -> None:
     store = write_street(tmp_path, "street")
     new = SceneStore(tmp_path, "avenue")

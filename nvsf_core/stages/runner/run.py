@@ -1,6 +1,7 @@
 """Run all stages of one scene without Dagster, or a single stage for a scheduler."""
 
 import contextlib
+import difflib
 import os
 import sys
 import time
@@ -249,8 +250,14 @@ def find_scene(name: str) -> SceneEntry:
     for entry in catalogue:
         if entry.name == name:
             return entry
-    known = ", ".join(entry.name for entry in catalogue)
-    raise DataError(f"no scene {name!r} in the catalogue; it has {known}. NVSF_SCENES names other catalogues")
+    known = {entry.name.casefold(): entry.name for entry in catalogue}
+    near = [known[one] for one in difflib.get_close_matches(name.casefold(), known)]
+    hint = "; names are separated by blanks" if "," in name else ""
+    hint += f"; did you mean {' or '.join(near)}?" if near else ""
+    raise DataError(
+        f"no scene {name!r:.100} in the catalogue{hint}; it has {', '.join(known.values())}. NVSF_SCENES "
+        "names other catalogues"
+    )
 
 
 def is_embedded(scene: SceneEntry) -> bool:
