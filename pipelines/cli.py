@@ -196,6 +196,7 @@ def _checked(scene: str | None, asked: ViewEntry | None) -> Iterator[str]:
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the drive to make.")
 @click.option("--layout", default="plain", show_default=True, help="plain, or kitti360.")
+@click.option("--name", default="", help="Of the scene; default: that of SOURCE.")
 @click.option("--kind", default="", help="Format of SOURCE; default: as it looks.")
 @click.option("--sequence", default="", help="Of several in SOURCE, the one to take.")
 @click.option("--first", type=int, help="First frame; default: the first there is.")
@@ -226,7 +227,7 @@ def import_(
         first: First frame; None = the first there is.
         last: Last frame; None = the last there is.
         rectified: Cameras of a bag whose images are rectified already.
-        named: `kind`, `sequence`, `lidar` and `topic`.
+        named: `name`, `kind`, `sequence`, `lidar` and `topic`.
     """  # noqa: D301  as of `view`
     from nvsf_core.drives.detect import kind_of, whole_drive
     from nvsf_core.stages.imports.convert import import_drive
@@ -235,7 +236,7 @@ def import_(
 
     kind = named["kind"] or kind_of(source)
     scene = whole_drive(source, kind, named["sequence"], named["lidar"], first, last, named["topic"])
-    scene = replace(scene, rectified=rectified)
+    scene = replace(scene, name=named["name"] or scene.name, rectified=rectified)
     done = import_drive(scene, out, layout=layout, progress=sparse(say_on_stderr))
     for line in (*done.left_out, *done.notes):
         click.echo(line)
@@ -296,7 +297,8 @@ def scenes() -> None:
     from nvsf_core.drives.catalogue import catalogue_from_environment, home_from_environment
     from nvsf_core.drives.drive import has_data
     from nvsf_core.stages.runner.run import is_embedded
-    from nvsf_core.stores.scene_store import published
+    from nvsf_core.stages.runner.same_drive import other_root
+    from nvsf_core.stores.scene_store import SceneStore, published
 
     home = home_from_environment(os.environ)
     for entry in catalogue_from_environment(os.environ):
@@ -305,6 +307,8 @@ def scenes() -> None:
             made = (
                 ", ".join(f"{folder.parent.name} seed {folder.name}" for folder in trained) or "not trained"
             )
+            elsewhere = other_root(SceneStore(home, entry.name), entry) if trained else None
+            made += f", of the drive that lay at {elsewhere}" if elsewhere else ""
             there = made if has_data(entry) or is_embedded(entry) else f"no data at {entry.root}"
         except NvsfError as error:
             there = str(error)

@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from nvsf_core.demo.drive import DemoSize, write_demo
+from nvsf_core.drives.catalogue import load_catalogue
 from pipelines.cli import main
 from pipelines.doctor.findings import examine
 from pipelines.doctor.instance import examine_instance
@@ -205,8 +206,10 @@ def test_a_recording_is_imported_and_what_is_left_out_is_named(ask, tiny_catalog
 
 def test_what_an_import_says_to_set_is_taken_by_a_shell_whatever_the_folder_s_name(ask, tmp_path):
     write_demo(tmp_path / "drive", size=DemoSize.tiny())
-    done = ask("import", str(tmp_path / "drive"), "--out", str(tmp_path / "my first drive"))
+    out = tmp_path / "my first drive"
+    done = ask("import", str(tmp_path / "drive"), "--out", str(out), "--name", "first")
     assert done.exit_code == 0, done.output
+    assert [entry.name for entry in load_catalogue([out / "scenes.toml"], None)] == ["first"]
     export = done.output[done.output.index("export ") :]
     said = subprocess.run(
         ["sh", "-c", f'{export}\nprintf %s "$NVSF_SCENES"'], capture_output=True, text=True, check=True

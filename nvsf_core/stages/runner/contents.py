@@ -8,6 +8,7 @@ from pathlib import Path
 
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.drive import drive_of
+from nvsf_core.drives.section import Section
 from nvsf_core.drives.view_truth import truth_files
 from nvsf_core.errors import DataError
 from nvsf_core.stores.checksums import json_digest
@@ -31,17 +32,33 @@ def drive_digest(scene: SceneEntry, hashes: FileHashes) -> str:
         DataError: A file cannot be read.
         TimeIsUpError: The time of `hashes` is up.
     """
+    section = _section(scene)
+    folders = [folder.relative_to(scene.root).as_posix() for folder in section.folders]
+    return json_digest(
+        {"files": _hashed(scene, section, hashes), "folders": folders, "recorded": section.recorded}
+    )
+
+
+def drive_files(scene: SceneEntry, hashes: FileHashes) -> dict[str, str]:
+    """Name below the root to hash of all recorded files that the scene reads.
+
+    Raises:
+        DataError: A file cannot be read.
+        TimeIsUpError: The time of `hashes` is up.
+    """
+    return _hashed(scene, _section(scene), hashes)
+
+
+def _section(scene: SceneEntry) -> Section:
     try:
-        section = drive_of(scene).section()
-        named = {
-            path.relative_to(scene.root).as_posix(): hashes.hash_of(path)
-            for path in section.files
-            if path.exists()
-        }
+        return drive_of(scene).section()
     except OSError as error:
         raise _unreadable(scene, error) from error
-    folders = [folder.relative_to(scene.root).as_posix() for folder in section.folders]
-    return json_digest({"files": named, "folders": folders, "recorded": section.recorded})
+
+
+def _hashed(scene: SceneEntry, section: Section, hashes: FileHashes) -> dict[str, str]:
+    there = (path for path in section.files if path.exists())
+    return {path.relative_to(scene.root).as_posix(): _hash(scene, path, hashes) for path in there}
 
 
 def truth_digest(scene: SceneEntry, hashes: FileHashes) -> str:

@@ -28,6 +28,7 @@ from nvsf_core.stages.runner.execution import (
 from nvsf_core.stages.runner.failures import forget_failure, remember_failure
 from nvsf_core.stages.runner.heartbeat import heartbeat, sparse
 from nvsf_core.stages.runner.locks import LOCKS, device_lock, output_locks
+from nvsf_core.stages.runner.same_drive import OtherDriveError, remember_drive, require_same_drive
 from nvsf_core.stages.runner.stage import Outcome, Progress, RunConfig, Stage, Task, UnsoundOutputError
 from nvsf_core.stores.removal import number_kept
 from nvsf_core.stores.scene_store import SceneStore, require_home
@@ -164,6 +165,7 @@ def run_named_stage(
 
     Raises:
         StoreError: An input was never published.
+        OtherDriveError: The home holds another drive's outputs under the scene's name; nothing is replaced.
         NvsfError: The stage failed; names scene and stage.
     """
     by_name = {stage.name: stage for stage in (STAGES if stages is None else stages)}
@@ -173,6 +175,8 @@ def run_named_stage(
     place = stage.location(run.config)
     try:
         outcome = _named(stage, run, by_name, progress)
+    except OtherDriveError:
+        raise  # no failure of the drive whose outputs lie there
     except Exception as error:
         kind = "" if isinstance(error, NvsfError) else f"{type(error).__name__}: "
         words = str(error).removeprefix(f"scene {run.scene.name}, stage {name}: ")
@@ -224,7 +228,11 @@ def _once(stage: Stage, run: SceneRun, by_name: Mapping[str, Stage], progress: P
             output_locks(locks, place.location, inputs, progress),
             heartbeat(progress, f"[{run.scene.name}] {stage.name}") as say,
         ):
+            if stage.reads_drive:
+                require_same_drive(run.store, run.scene, say)
             outcome = run_stage(place, say)
+    if stage.reads_drive:
+        remember_drive(run.store, run.scene)
     if stage.tidy is not None:
         stage.tidy(run.store, outcome, progress)
     return outcome
