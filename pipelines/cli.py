@@ -323,7 +323,7 @@ def scenes() -> None:
     "--mend", is_flag=True, help="Make damaged data sets anew, where nothing of theirs has changed."
 )
 def verify(names: Sequence[str], mend: bool) -> None:
-    """Read every byte of SCENES anew (default: all that are trained), and say what is up to date.
+    """Read every byte of SCENES anew (default: all with outputs here), and say what is up to date.
 
     Drives and outputs are compared with what each output was made from, all versions of data sets with their
     manifests. What is remembered of unchanged files is not believed here. Nothing is made but by --mend:

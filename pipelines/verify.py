@@ -19,10 +19,10 @@ Say = Callable[[str], None]
 
 
 def verify_scenes(names: Sequence[str], mend: bool, say: Say) -> bool:
-    """Verify scenes; returns whether all that was read is sound, and something of each named one was read.
+    """Verify scenes; returns whether all that was read is sound, and something of each of them was read.
 
     Args:
-        names: Names in the catalogue; none = all that are trained.
+        names: Names in the catalogue; none = all that have outputs below the home.
         mend: Whether to make damaged data sets anew.
         say: Receives a line for each output, and for each scene of which nothing was verified.
 
@@ -37,9 +37,10 @@ def verify_scenes(names: Sequence[str], mend: bool, say: Say) -> bool:
         is_sound &= all(sound)
         read += len(sound)
         if not sound and (names or (home / entry.name).is_dir()):
-            is_sound &= not names
+            is_sound = False
             say(f"{entry.name}: NOT VERIFIED: no trained field of it that can be read lies under {home}")
     for name in () if names else _trained_of_no_catalogue(home, [entry.name for entry in entries]):
+        is_sound = False
         say(
             f"{name}: NOT VERIFIED: trained under {home}, and no scene of the catalogue, which names the "
             "drives; NVSF_SCENES names other catalogues"

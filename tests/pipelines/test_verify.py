@@ -29,7 +29,7 @@ def test_scenes_without_a_field_or_a_catalogue_are_named(ask, tmp_path):
     field.mkdir(parents=True)
     write_document(field / RECORD_NAME, record_of_output())
     said = ask("verify")
-    assert said.exit_code == 0
+    assert said.exit_code == 1
     assert [line.partition(", and")[0].partition(" under")[0] for line in said.output.splitlines()] == [
         "tiny: NOT VERIFIED: no trained field of it that can be read lies",
         "elsewhere: NOT VERIFIED: trained",
