@@ -19,7 +19,7 @@ from nvsf_core.errors import NvsfError
 from nvsf_core.stores.file_hashes import TimeIsUpError
 from pipelines.jobs import RETRY_TAGS
 from pipelines.reaper import host_tags
-from pipelines.switch import AUTOMATE_VARIABLE, QUIET_VARIABLE, is_on, quiet_s
+from pipelines.switch import AUTOMATE_VARIABLE, is_on, quiet_s
 
 _MOST_READING_S = 20.0
 """Of one scene in one tick; Dagster ends a tick after 60 s. The next tick goes on from there."""
@@ -42,18 +42,21 @@ class _Found(NamedTuple):
     minimum_interval_seconds=30,
     default_status=dg.DefaultSensorStatus.RUNNING,
     description="Watches the catalogue and its roots: a scene whose drive is whole becomes a partition, a "
-    "changed drive or view is reported by the content of its files. Half-copied drives wait. Starts no run.",
+    "changed drive or view is reported by the content of its files. Half-copied drives wait. A scene that is "
+    "in the catalogue no more is no partition; what was made of it stays. Starts no run.",
 )
-def new_drives(context: dg.SensorEvaluationContext) -> dg.SensorResult | dg.SkipReason:
-    """Report drives that are new or changed."""
+def new_drives(context: dg.SensorEvaluationContext) -> dg.SensorResult:
+    """Report drives that are new or changed.
+
+    Raises:
+        NvsfError: The catalogue or NVSF_QUIET_S cannot be read; the tick fails, for nothing is watched.
+    """
     seen, words, new = _load(context.cursor), list[str](), list[str]()
     events: list[dg.AssetObservation | dg.AssetCheckEvaluation] = []
     known = set(context.instance.get_dynamic_partitions(SCENES.name or ""))
-    try:
-        entries, workspace = catalogue(), Workspace()
-        waits_s = quiet_s(os.environ)
-    except NvsfError as error:
-        return dg.SkipReason(f"the catalogue or {QUIET_VARIABLE} cannot be read: {error}")
+    entries, workspace, waits_s = catalogue(), Workspace(), quiet_s(os.environ)
+    gone = sorted(known - {entry.name for entry in entries})
+    seen = {name: one for name, one in seen.items() if name not in gone}
     for entry in entries:
         try:
             section = drive_of(entry).section()
@@ -77,11 +80,13 @@ def new_drives(context: dg.SensorEvaluationContext) -> dg.SensorResult | dg.Skip
         events += _changed_offers(context.instance, workspace, seen)
     except (NvsfError, OSError) as error:
         words.append(f"offers: {error}")
+    words += [f"{name}: in the catalogue no more, so no partition; its outputs stay" for name in gone]
     if words:
         context.log.info("; ".join(words))  # also where something else is reported, which leaves no reason
+    requests = [SCENES.build_add_request(new)] if new else []
     return dg.SensorResult(
-        skip_reason=dg.SkipReason("; ".join(words) or "nothing new") if not events and not new else None,
-        dynamic_partitions_requests=[SCENES.build_add_request(new)] if new else [],
+        skip_reason=None if events or new or gone else dg.SkipReason("; ".join(words) or "nothing new"),
+        dynamic_partitions_requests=[*requests, *([SCENES.build_delete_request(gone)] if gone else [])],
         asset_events=events,
         cursor=json.dumps(seen),
     )

@@ -18,6 +18,7 @@ from assets.offers import AGE_CHECK, RECIPE_CHECK
 from assets.scenes import DATA_VERSION, SCENES, key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.kitti360.layout import DriveLayout
+from nvsf_core.errors import DataError
 from nvsf_core.stages import STAGE_NAMES
 from pipelines.definitions import defs
 from pipelines.sensors import new_drives, scenes_follow
@@ -66,7 +67,11 @@ class Watched:
         self.cursor = result.cursor
         self.said.append(result.skip_reason.skip_message if result.skip_reason else "")
         for request in result.dynamic_partitions_requests or []:
-            self.instance.add_dynamic_partitions(request.partitions_def_name, request.partition_keys)
+            if isinstance(request, dg.AddDynamicPartitionsRequest):
+                self.instance.add_dynamic_partitions(request.partitions_def_name, request.partition_keys)
+            else:
+                for name in request.partition_keys:
+                    self.instance.delete_dynamic_partition(request.partitions_def_name, name)
         for event in result.asset_events:
             self.instance.report_runless_asset_event(event)
         return result
@@ -253,10 +258,27 @@ def test_a_drive_that_fails_is_not_tried_again_until_it_changes(arrived: Watched
     assert "frames" in arrived.requested()
 
 
-def test_a_catalogue_that_is_being_edited_is_waited_for(watched: Watched) -> None:
-    (watched.folder / "scenes.toml").write_text("[[scene]\n")
-    result = new_drives(dg.build_sensor_context(instance=watched.instance))
-    assert isinstance(result, dg.SkipReason) and "scenes.toml" in result.skip_message
+def test_a_catalogue_that_cannot_be_read_fails_the_tick_and_removes_no_partition(arrived: Watched) -> None:
+    (arrived.folder / "scenes.toml").write_text("[[scene]\n")
+    with pytest.raises(DataError, match=r"scenes\.toml is no TOML"):
+        arrived.tick()
+    assert arrived.instance.get_dynamic_partitions(SCENES.name) == ["tiny"]
+
+
+def test_a_scene_that_leaves_the_catalogue_is_no_partition_until_it_is_back(arrived: Watched) -> None:
+    both = TINY_CATALOGUE + LANE.replace('truth = { image_00 = "nowhere" }\n', "")
+    (arrived.folder / "scenes.toml").write_text(both)
+    arrived.tick()
+    assert set(arrived.instance.get_dynamic_partitions(SCENES.name)) == {"tiny", "lane"}
+    (arrived.folder / "scenes.toml").write_text(TINY_CATALOGUE)
+    arrived.tick()
+    assert arrived.instance.get_dynamic_partitions(SCENES.name) == ["tiny"]
+    result = arrived.tick()
+    assert result.skip_reason and not result.dynamic_partitions_requests
+    (arrived.folder / "scenes.toml").write_text(both)
+    events = arrived.tick().asset_events
+    assert {one.partition for one in events if isinstance(one, dg.AssetObservation)} == {"lane"}
+    assert set(arrived.instance.get_dynamic_partitions(SCENES.name)) == {"tiny", "lane"}
 
 
 def test_automation_is_off_unless_it_is_asked_for_and_its_runs_keep_their_recipe() -> None:
