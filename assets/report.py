@@ -5,9 +5,18 @@ from typing import NamedTuple
 
 import dagster as dg
 
+# Not exported by Dagster, which sets them in runs of assets alone; Dagster is held below 1.14.
+from dagster._core.definitions.data_version import (
+    CODE_VERSION_TAG,
+    DEFAULT_DATA_VERSION,
+    NULL_EVENT_POINTER,
+    get_input_data_version_tag,
+    get_input_event_pointer_tag,
+)
+
 from assets.automation import follows_all_scenes
 from assets.factory import FRESH
-from assets.scenes import OWNERS, key_of
+from assets.scenes import DATA_VERSION, OWNERS, key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.drive import has_data
 from nvsf_core.drives.entries import SceneEntry
@@ -40,6 +49,21 @@ def benchmark_report(workspace: Workspace) -> dg.MaterializeResult:
             "scenes_without_data": dg.MetadataValue.int(written.scenes_without_data),
         }
     )
+
+
+def made_of(instance: dg.DagsterInstance, run_id: str) -> dict[str, str]:
+    """Tags of a report's event that say what it is made of, as Dagster's own are of an asset's run.
+
+    Without them Dagster compares times, and takes the output that a failed scene lacks for a new input.
+    """
+    tags = {CODE_VERSION_TAG: run_id}  # as Dagster has it where an asset has no version of its own
+    for stage in (METRICS_STAGE, DATASET_STAGE):
+        key = key_of(stage)
+        newest = instance.fetch_materializations(key, limit=1).records
+        version = newest[0].event_log_entry.tags.get(DATA_VERSION) if newest else None
+        tags[get_input_data_version_tag(key)] = version or DEFAULT_DATA_VERSION.value
+        tags[get_input_event_pointer_tag(key)] = str(newest[0].storage_id) if newest else NULL_EVENT_POINTER
+    return tags
 
 
 class WrittenReport(NamedTuple):

@@ -5,6 +5,7 @@ job, made from the same stages as the assets, that logs each scene's materialisa
 """
 
 import functools
+import logging
 import os
 import re
 import sys
@@ -12,12 +13,15 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import dagster as dg
+
+# Not exported by Dagster, which logs it of assets alone; Dagster is held below 1.14.
+from dagster._core.events import AssetMaterializationPlannedData, DagsterEvent
 from pydantic import Field
 
 from assets.factory import events_of, failed_checks
 from assets.metadata import exported_folders
 from assets.origin import TERMINAL_TAG, say_whose_run_it_is
-from assets.report import CURVES, REPORT
+from assets.report import CURVES, REPORT, made_of
 from assets.scenes import key_of, register
 from assets.verdicts import reason_of
 from assets.workspace import Workspace, catalogue
@@ -122,9 +126,10 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
         if state["failed"]:
             context.log.warning(f"[{scene}] {stage.name}: not run, failed before ({state['failed']})")
             return state
-        if context.retry_number >= _RETRY_KILLED.max_retries:
+        if context.retry_number >= _RETRY_KILLED.max_retries:  # begun, and said to be, by the first try
             remember_failure(SceneStore(workspace.home(), scene), stage.name, _KILLED_TWICE)
             return _failed(context, state, stage, StageKilledError(_KILLED_TWICE), _KILLED_TWICE)
+        _say_that_it_is_begun(context, stage, scene)
         try:
             outcome = workspace.run_stage(stage.name, scene, context.log.info, stages=stages)
             for event in events_of(stage, outcome, scene, context.instance):
@@ -142,6 +147,19 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
         return {**state, "stages": [*state["stages"], done], "exports": exports, "doubts": doubts}
 
     return run
+
+
+def _say_that_it_is_begun(context: dg.OpExecutionContext, stage: Stage, scene: str) -> None:
+    """As Dagster says it in a run of assets: the partition is in progress; failed if the run ends without it.
+
+    Else a scene that failed would look like one that was never asked for: its steps are green.
+    """
+    planned = DagsterEvent.build_asset_materialization_planned_event(
+        context.job_name,
+        context.get_step_execution_context().step.key,
+        AssetMaterializationPlannedData(key_of(stage.name), partition=scene, partitions_subset=None),
+    )
+    context.instance.report_dagster_event(planned, context.run_id, logging.DEBUG)
 
 
 def _failed(
@@ -165,6 +183,7 @@ def report_all(
 
     The page shows everything measured under the home, the table on the terminal only this run.
     """
+    inputs = made_of(context.instance, context.run_id)
     failures = {state["scene"]: state["failed"] for state in states if state["failed"]}
     measured = [state["scene"] for state in states if not state["failed"]]
     named = [state["scene"] for state in states]
@@ -179,7 +198,7 @@ def report_all(
 
     path = make_benchmark_report(workspace.home(), named, failures, absent, CURVES)
     metadata = {"path": dg.MetadataValue.path(str(path))}
-    context.log_event(dg.AssetMaterialization(asset_key=key_of(REPORT), metadata=metadata))
+    context.log_event(dg.AssetMaterialization(asset_key=key_of(REPORT), metadata=metadata, tags=inputs))
     words = closing_words(rows, states, failures, absent, path)
     shown = [scene for scene in measured if scene not in failures]
     words += next_view(workspace.plan(shown[0])) if shown else []

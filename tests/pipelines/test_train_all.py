@@ -6,14 +6,17 @@ import sys
 
 import dagster as dg
 import pytest
+from dagster._core.definitions.data_version import CachingStaleStatusResolver
+from dagster._core.loader import LoadingContextForTest
 
 from assets.report import write_benchmark_report
-from assets.scenes import key_of
+from assets.scenes import DATA_VERSION, SCENES, key_of
 from assets.verdicts import CHECK_NAME
 from nvsf_core.errors import DataError
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput
 from nvsf_core.stores.tables import write_rows
+from pipelines.definitions import defs
 from pipelines.failures import COMMAND_VARIABLE
 from pipelines.passed_values import RUNS
 from pipelines.train_all import make_train_all_scenes
@@ -113,6 +116,35 @@ def test_a_failed_scene_has_a_failed_check(run_job):
     result, _ = run_job()
     verdicts = [event.asset_check_evaluation_data for event in _events(result, "ASSET_CHECK_EVALUATION")]
     assert [one.description for one in verdicts if not one.passed] == ["scene bad: frames: the scan is torn"]
+
+
+def test_a_failed_scene_s_partition_is_failed_at_its_stage_until_it_succeeds(run_job, instance, monkeypatch):
+    def states():
+        found = {}
+        for stage in ("frames", "scene_metrics"):
+            of = instance.get_status_by_partition(key_of(stage), ["good", "bad"], SCENES)
+            found[stage] = [one and one.value for one in of.values()]
+        return found
+
+    run_job("good", "bad")
+    assert states() == {"frames": ["MATERIALIZED", "FAILED"], "scene_metrics": ["MATERIALIZED", None]}
+    monkeypatch.setattr(sys.modules[__name__], "TORN", ())
+    run_job("bad")
+    assert states() == {"frames": ["MATERIALIZED"] * 2, "scene_metrics": ["MATERIALIZED"] * 2}
+
+
+def test_a_report_is_not_out_of_date_for_what_a_failed_scene_never_made(run_job, instance):
+    def state():
+        graph = defs.get_repository_def().asset_graph
+        found = CachingStaleStatusResolver(instance, graph, LoadingContextForTest(instance))
+        return found.get_status(key_of("benchmark_report")).value
+
+    run_job("good", "bad")
+    assert state() == "FRESH"
+    instance.report_runless_asset_event(
+        dg.AssetMaterialization(key_of("scene_metrics"), partition="bad", tags={DATA_VERSION: "1"})
+    )
+    assert state() == "STALE"
 
 
 def test_a_scene_s_failure_stays_in_the_report_until_it_succeeds(run_job, tmp_path, monkeypatch):
