@@ -7,6 +7,7 @@ with the path of its program.
 import os
 import shlex
 import sys
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from nvsf_core.stages.runner.trained import newest_field
 SceneState = dict[str, Any]
 """Passed from stage to stage: `scene`, `failed` ("" or why), `stages` (name, seconds, skipped), `exports`,
 `doubts` (failed checks in words)."""
-_WIDTH, _MOST_DOUBTS = 79, 4
+_WIDTH, _MOST_DOUBTS, _MOST_LINES = 79, 4, 4
 
 
 def closing_words(
@@ -41,10 +42,13 @@ def closing_words(
     lines = [""]
     for state in states:
         scene = state["scene"]
-        result = headline([row for row in rows if row["scene"] == scene])
         seconds = sum(one["seconds"] for one in state["stages"] if not one["skipped"])
-        done = "up to date" if not seconds else f"{seconds:.0f} s"
-        lines += [result or f"{scene}: nothing was measured", f"  {len(state['stages'])} stages, {done}"]
+        done = f"{len(state['stages'])} stages, " + (f"{seconds:.0f} s" if seconds else "up to date")
+        if scene not in failures:
+            result = headline([row for row in rows if row["scene"] == scene])
+            lines += [result or f"{scene}: nothing was measured", f"  {done}"]
+        elif state["stages"]:
+            lines += [f"{scene}: failed after {done}"]
         lines += _doubts(state["doubts"])
         lines += [f"  scans  {_short(Path(folder))}" for folder in state["exports"]]
     lines += [f"FAILED  {scene}: {reason}" for scene, reason in failures.items()]
@@ -54,9 +58,15 @@ def closing_words(
 
 
 def _doubts(doubts: Sequence[str]) -> list[str]:
-    """A line each of the first failed checks, cut to the terminal's width: the report has the whole."""
-    lines = [f"  doubt  {one}" for one in doubts[:_MOST_DOUBTS]]
-    lines = [line if len(line) <= _WIDTH else f"{line[: _WIDTH - 3]}..." for line in lines]
+    """A few lines each of the first failed checks, of the terminal's width: the report has the whole."""
+    lines = [
+        line
+        for one in doubts[:_MOST_DOUBTS]
+        for line in textwrap.wrap(
+            one, _WIDTH, initial_indent="  doubt  ", subsequent_indent=" " * 9, max_lines=_MOST_LINES,
+            placeholder=" ...", break_on_hyphens=False,
+        )
+    ]  # fmt: skip
     more = len(doubts) - _MOST_DOUBTS
     return [*lines, f"  and {more} more: the report says what they found"] if more > 0 else lines
 

@@ -15,6 +15,11 @@ _LONGEST_S = 60.0
 _MOST_WORDS = 4000
 
 
+def named_command() -> str:
+    """The user's command; empty if none is named."""
+    return os.environ.get(COMMAND_VARIABLE, "").strip()
+
+
 def call_command(failure: dict[str, Any]) -> str:
     """Call the user's command with a failure as JSON on its standard input; returns what came of it.
 
@@ -23,8 +28,8 @@ def call_command(failure: dict[str, Any]) -> str:
     Args:
         failure: `run_id`, `job`, `scene` (empty for a run over several), `words`.
     """
-    command = os.environ.get(COMMAND_VARIABLE, "")
-    if not command.strip():
+    command = named_command()
+    if not command:
         return f"{COMMAND_VARIABLE} names no command"
     try:
         done = subprocess.run(

@@ -33,7 +33,7 @@ from nvsf_core.stages.runner.failures import remember_failure
 from nvsf_core.stages.runner.run import write_demo_where_absent
 from nvsf_core.stores.scene_store import SceneStore
 from pipelines.closing_words import SceneState, closing_words, next_ui, next_view
-from pipelines.failures import CALLED_TAG, call_command
+from pipelines.failures import CALLED_TAG, call_command, named_command
 from pipelines.passed_values import PassedValues, remove_old_values
 from pipelines.reaper import host_tags
 from pipelines.resources import RESOURCES
@@ -224,7 +224,8 @@ def _metrics(workspace: Workspace, scene: str) -> list[dict[str, Any]]:
 @dg.op(description="Fails the run if any scene failed, after the report of the others was made.")
 def fail_if_any_failed(context: dg.OpExecutionContext, failures: list[str]) -> None:
     """Fail the run if there are recorded failures; the user's command is called by a terminal's run."""
-    if failures and (context.instance.is_ephemeral or _is_of_terminal(context)):
+    is_own = context.instance.is_ephemeral or _is_of_terminal(context)
+    if failures and is_own and named_command():
         failure = {
             "run_id": context.run_id,
             "job": context.job_name,

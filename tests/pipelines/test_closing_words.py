@@ -47,15 +47,29 @@ def test_the_next_view_names_recipe_and_seed_where_the_newest_field_has_others(h
         assert words[-1].endswith(ends), words
 
 
-def test_failed_checks_are_said_at_the_end_in_a_line_each_of_the_terminal() -> None:
+def test_failed_checks_are_said_at_the_end_with_their_reason_in_the_terminal_s_width() -> None:
     state = {"scene": "tiny", "failed": "", "stages": [], "exports": []}
     sound = closing_words([], [{**state, "doubts": []}], {}, [], Path("r"))
     assert not any("doubt" in line for line in sound)
-    doubts = [f"all scans are usable: {k} scans left out, {'x' * 99}" for k in range(6)]
+    path = f"/data/{'x' * 99}/scans/0000000004.bin"
+    doubts = [f"all scans are usable: {k} scans left out: 4: {path}: no finite point" for k in range(6)]
     lines = closing_words([], [{**state, "doubts": doubts}], {}, [], Path("r"))
-    assert lines[3].startswith("  doubt  all scans are usable: 0 scans left out, xxx")
-    assert lines[7] == "  and 2 more: the report says what they found"
+    said = [line for line in lines if line.startswith("  doubt  ")]
+    assert len(said) == 4 and said[0].startswith("  doubt  all scans are usable: 0 scans left out: 4:")
+    assert sum(line.endswith("no finite point") for line in lines) == 4
+    assert lines[-2] == "  and 2 more: the report says what they found"
     assert max(map(len, lines)) <= 80
+    endless = closing_words([], [{**state, "doubts": ["word " * 999]}], {}, [], Path("r"))
+    assert len(endless) == 8 and endless[-2].endswith(" ...")
+
+
+def test_a_failed_scene_is_neither_up_to_date_nor_unmeasured() -> None:
+    state = {"scene": "bad", "failed": "field: torn", "exports": [], "doubts": [], "stages": []}
+    at_once = closing_words([], [state], {"bad": "field: torn"}, [], Path("r"))
+    assert at_once == ["", "FAILED  bad: field: torn", "report  r"]
+    stages = [{"stage": "frames", "seconds": 3.0, "skipped": False}]
+    later = closing_words([], [{**state, "stages": stages}], {"bad": "field: torn"}, [], Path("r"))
+    assert later[1] == "bad: failed after 1 stages, 3 s"
 
 
 @pytest.mark.cli

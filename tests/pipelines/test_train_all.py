@@ -159,6 +159,13 @@ def test_a_scene_s_failure_stays_in_the_report_until_it_succeeds(run_job, tmp_pa
     assert "the scan is torn" not in page.read_text()
 
 
+def test_a_failed_run_says_nothing_of_a_command_that_nobody_named(run_job, instance):
+    result, _ = run_job("bad")
+    said = [one.user_message for one in instance.all_logs(result.run_id)]
+    assert "[bad] FAILED in frames: the scan is torn" in said
+    assert not any(COMMAND_VARIABLE in one for one in said)
+
+
 def test_a_failed_run_without_a_daemon_calls_the_users_command(run_job, monkeypatch, tmp_path):
     monkeypatch.setenv(COMMAND_VARIABLE, f"tee {tmp_path / 'told.json'}")
     run_job("good")
