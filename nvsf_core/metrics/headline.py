@@ -17,6 +17,9 @@ _SHOWN = (
 )
 """Few enough for 80 columns; all others stand in the report."""
 _MOST_VIEWS = 4
+LEAST_LEVEL = 2
+"""Numbers in which a model is level with a baseline, to the last digit, from which on it shows the same: one
+may be level by chance, as where both are perfect."""
 _LEGEND = "CD, LPIPS: lower is better; others: higher. Mean of the held-out frames;"
 _PARTIAL = "* over fewer of them than there are, - over none."
 
@@ -32,12 +35,12 @@ class _Mean(NamedTuple):
 
 
 def headline(rows: Sequence[Mapping[str, Any]]) -> str:
-    """One scene's result in at most fourteen lines of 80 columns.
+    """One scene's result in some fourteen lines of 80 columns.
 
     Returns:
-        Where the model beats the best baseline and where a baseline beats it, images off the recorded path
-        where their truth is known, then the table; empty where nothing was measured on held-out frames. A
-        mean over fewer frames than another beats none.
+        Where the model beats the best baseline, where it is level with it and where a baseline beats it,
+        images off the recorded path where their truth is known, then the table; empty where nothing was
+        measured on held-out frames. A mean over fewer frames than another beats none.
     """
     means = _means(rows)
     models = [method for method in means if method not in BASELINES]
@@ -45,6 +48,7 @@ def headline(rows: Sequence[Mapping[str, Any]]) -> str:
         return ""
     scene, model = rows[0]["scene"], models[0]
     won: list[str] = []
+    level: dict[str, list[str]] = {}
     lost: dict[str, list[str]] = {}
     for _, metric, heading, _, higher in _SHOWN:
         sign, word = (1.0 if higher else -1.0), heading.split()[0]
@@ -61,7 +65,12 @@ def headline(rows: Sequence[Mapping[str, Any]]) -> str:
             lost.setdefault(best, []).append(word)
         elif model in whole and (best is None or mine > others[best]):
             won.append(word)
+        elif model in whole and best is not None:
+            level.setdefault(best, []).append(word)
     lines = [f"{scene}: {model} beats every baseline in {', '.join(won) or 'nothing'}"]
+    for name, words in level.items():
+        same = f"shows what {name} shows: level" if len(words) >= LEAST_LEVEL else f"level with {name}"
+        lines.append(f"  {same} in {', '.join(words)}")
     lines += [f"  {name} is better in {', '.join(words)}" for name, words in lost.items()]
     return "\n".join([*lines, *_off_path(rows, model), *_table(means, model)])
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nvsf_core.metrics.headline import LEAST_LEVEL
 from nvsf_core.metrics.table import BASELINES
 from nvsf_core.reporting import plots
 from nvsf_core.reporting.checks import checks_section
@@ -19,6 +20,8 @@ from nvsf_core.reporting.tables import (
     Row,
     full_tables,
     headline_columns,
+    level_with,
+    lone_wins,
     methods_of,
     over_seeds,
     wins,
@@ -125,8 +128,8 @@ def _summary(scenes: Sequence[SceneOutputs], measured: Sequence[SceneOutputs], n
         parts.append(
             '<p class="soft">Means over the held-out frames; LiDAR by the protocol'
             " <code>lidar4d_scan</code>, images by <code>image</code>, mean over the cameras. “Best in”"
-            " counts the main numbers of a scene in which a method is the best one; a recipe’s are means over"
-            " its seeds, so that each of its rows has the same count.</p>"
+            " counts the main numbers of a scene in which a method is the best one, or level with it; a"
+            " recipe’s are means over its seeds, so that each of its rows has the same count.</p>"
             '<p class="soft">The page holds <b>everything that was measured in this folder</b>, not only the'
             " last run; runs at other held-out frames than a scene’s newest are only named in its section."
             " A trained model’s row is named by its recipe (what was trained, and how long) and"
@@ -272,8 +275,11 @@ def _scene(scene: SceneOutputs) -> str:
 
 
 def _verdict(rows: Sequence[Row]) -> str:
-    """One sentence: which recipe is best in how many of the main numbers."""
-    count = wins(rows)
+    """One sentence: which recipe is best in how many of the main numbers, and what it is level with.
+
+    What it counts is what the terminal says at the end of a run (`metrics.headline`), of more numbers.
+    """
+    count = lone_wins(rows)
     total = sum(column.higher_is_better is not None for column in headline_columns(rows))
     models = [name for name, _, learned in methods_of(over_seeds(rows)) if learned]
     if not models or not total:
@@ -282,10 +288,15 @@ def _verdict(rows: Sequence[Row]) -> str:
     seeds = len({row["seed"] for row in rows if row["recipe"] == best})
     mean = f" (mean of {seeds} seeds)" if seeds > 1 else ""
     others = ", ".join(f"{escape(name)} in {wins_}" for name, wins_ in count.items() if name != best)
+    level = "".join(
+        f"; it shows what {escape(name)} shows: level in {number_}"
+        for name, number_ in level_with(rows, best).items()
+        if number_ >= LEAST_LEVEL
+    )
     css = "good" if count[best] > total / 2 else ""
     return (
         f'<div class="note {css}"><b>{escape(best)}</b>{mean} is best in {count[best]} of {total} main'
-        f" numbers at the held-out frames ({others}).</div>"
+        f" numbers at the held-out frames ({others}){level}.</div>"
     )
 
 

@@ -164,6 +164,39 @@ def wins(rows: Sequence[Row]) -> dict[str, int]:
     return count
 
 
+def lone_wins(rows: Sequence[Row]) -> dict[str, int]:
+    """As `wins`, without the numbers in which a model and a baseline are level to the last digit."""
+    methods = methods_of(over_seeds(rows))
+    count = dict.fromkeys((name for name, _, _ in methods), 0)
+    for best in _exactly_best(rows):
+        if len({methods[row][2] for row in best}) == 1:
+            for row in best:
+                count[methods[row][0]] += 1
+    return count
+
+
+def level_with(rows: Sequence[Row], recipe: str) -> dict[str, int]:
+    """Baseline to the number of headline errors in which it and a recipe are the best, to the last digit."""
+    methods = methods_of(over_seeds(rows))
+    mine = next(row for row, (name, _, _) in enumerate(methods) if name == recipe)
+    count: dict[str, int] = {}
+    for best in _exactly_best(rows):
+        for name, _, is_model in (methods[row] for row in best if mine in best):
+            if not is_model:
+                count[name] = count.get(name, 0) + 1
+    return count
+
+
+def _exactly_best(rows: Sequence[Row]) -> list[list[int]]:
+    """Of each headline error the rows of its best value; one that is shown alike may still be worse."""
+    found = []
+    for column in headline_columns(over_seeds(rows)):
+        shown = best_rows(column)
+        value = (max if column.higher_is_better else min)((column.values[row] for row in shown), default=0.0)
+        found.append([row for row in sorted(shown) if column.values[row] == value])
+    return found
+
+
 def over_seeds(rows: Sequence[Row]) -> list[Row]:
     """Rows of recipes instead of runs: means over their seeds."""
     keys = ("split", "protocol", "region", "sensor", "metric", "recipe")

@@ -23,6 +23,18 @@ def test_it_says_where_the_model_wins_and_which_baseline_wins_elsewhere() -> Non
     assert lines[3].split()[1:] == ["0.0100", "0.9500"]
 
 
+def test_a_model_that_shows_what_a_baseline_shows_is_level_with_it() -> None:
+    rows = [*rows_of("mesh", 0.02, 0.90), *rows_of("reproject", 0.01, 0.97), *rows_of("quick", 0.01, 0.97)]
+    lines = headline(rows).splitlines()
+    assert lines[0] == "demo: quick beats every baseline in nothing"
+    assert lines[1] == "  shows what reproject shows: level in CD, F"
+    rows = [*rows_of("mesh", 0.02, 1.0), *rows_of("quick", 0.01, 1.0)]
+    assert headline(rows).splitlines()[:2] == [
+        "demo: quick beats every baseline in CD",
+        "  level with mesh in F",
+    ]
+
+
 def test_it_fits_a_terminal_of_eighty_columns() -> None:
     every = [("lidar4d_scan", name) for name in ("chamfer_m2", "f_score", "range_psnr_db", "hit_accuracy")]
     every += [("image", name) for name in ("image_psnr_db", "image_lpips_squeeze")]

@@ -210,6 +210,16 @@ def test_a_recipe_is_the_best_by_the_mean_over_its_seeds_not_by_the_luckiest_of_
     ]  # fmt: skip
 
 
+def test_a_recipe_that_shows_what_a_baseline_shows_is_level_with_it_and_not_the_best(tmp_path: Path) -> None:
+    path = write_street(tmp_path, "street").path("scene_metrics/quick/0") / "metrics.parquet"
+    rows = read_rows(path)
+    same = [row | {"recipe": "reproject", "seed": 0} for row in rows if row["recipe"] == "quick"]
+    write_rows(path, [row for row in rows if row["recipe"] != "reproject"] + same, COLUMNS)
+    _, text = _read(make_benchmark_report(tmp_path, ["street"], {}, []))
+    assert "quick is best in 0 of 9 main numbers at the held-out frames (reproject in 0," in text
+    assert "; it shows what reproject shows: level in 9." in text
+
+
 def test_a_run_at_other_held_out_frames_is_named_and_compared_with_nothing(tmp_path: Path) -> None:
     write_street(tmp_path, "street", recipe="quick", seed=0)
     store = write_street(tmp_path, "street", recipe="smoke", seed=0)
