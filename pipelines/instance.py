@@ -1,15 +1,18 @@
 """A new Dagster instance: its tables first, its configuration last and only where it has none.
 
-``python -m pipelines.instance`` makes that of DAGSTER_HOME, as `make` does before its first run.
+``python -m pipelines.instance`` makes that of DAGSTER_HOME (default: in NVSF_HOME), as `make` does before its
+first run.
 """
 
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 
+from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.errors import NvsfError, StoreError
 from nvsf_core.stages.runner.locks import file_lock
 from nvsf_core.stages.runner.run import say_on_stderr
@@ -20,6 +23,11 @@ DAGSTER = (sys.executable, "-P", "-m", "dagster")
 """Dagster's command; without -P a module of the user's working folder would take the place of a package's."""
 _LOCK = ".making.lock"
 _MOST_WORDS = 400
+
+
+def instance_place(environ: Mapping[str, str]) -> Path:
+    """DAGSTER_HOME; by default the one that `make` and `nvsf` use, in the home."""
+    return Path(environ.get("DAGSTER_HOME") or home_from_environment(environ) / "dagster").absolute()
 
 
 def make_instance(place: Path) -> None:
@@ -68,6 +76,6 @@ def _copy_template(target: Path) -> None:
 
 if __name__ == "__main__":
     try:
-        make_instance(Path(os.environ["DAGSTER_HOME"]))
+        make_instance(instance_place(os.environ))
     except NvsfError as error:
         sys.exit(str(error))

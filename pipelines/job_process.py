@@ -10,7 +10,7 @@ from types import FrameType
 from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.stages.runner.run import find_scene, say_on_stderr
 from nvsf_core.stores.scene_store import require_home
-from pipelines.instance import DAGSTER, make_instance
+from pipelines.instance import DAGSTER, instance_place, make_instance
 
 INTERRUPTED = "interrupted. Run it again to go on: what was finished is skipped, and training resumes"
 """What a run says at its end that Ctrl-C or SIGTERM has stopped."""
@@ -35,7 +35,7 @@ def run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
     home = home_from_environment(os.environ)
     chosen = {"SCENES": " ".join(scenes), "RECIPE": recipe, "SEED": str(seed), "NVSF_HOME": str(home)}
     require_home(home)  # first: Dagster, whose history lies there, would say less of what is wrong
-    place = Path(os.environ.get("DAGSTER_HOME") or home / "dagster").absolute()
+    place = instance_place(os.environ)
     environment = os.environ | chosen | {
         "DAGSTER_HOME": str(place), "DAGSTER_MODULE_NAME": "pipelines.definitions",
         "PYTHONWARNINGS": "ignore:Function `job_execute_command`",

@@ -2,12 +2,10 @@
 
 import time
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 
 import dagster as dg
 
-from nvsf_core.drives.catalogue import home_from_environment
-from pipelines.instance import TEMPLATE
+from pipelines.instance import TEMPLATE, instance_place
 from pipelines.reaper import stale_runs
 
 _BEAT_S = 120.0
@@ -23,11 +21,6 @@ _PATIENCE = (("run_monitoring", "start_timeout_seconds"), ("code_servers", "loca
 """Of three minutes each, unless the instance says otherwise; what is late is not tried again."""
 
 
-def instance_place(environ: Mapping[str, str]) -> Path:
-    """DAGSTER_HOME; by default the one that `make` and `nvsf` use, in the home."""
-    return Path(environ.get("DAGSTER_HOME") or home_from_environment(environ) / "dagster").absolute()
-
-
 def examine_instance(environ: Mapping[str, str]) -> tuple[bool, str]:
     """Whether the instance is as it should be, and what was found; nothing is written.
 
@@ -36,7 +29,10 @@ def examine_instance(environ: Mapping[str, str]) -> tuple[bool, str]:
     place = instance_place(environ)
     try:
         if not (place / TEMPLATE).is_file():
-            return True, f"none at {place} yet; `make ui` or the first run makes it"
+            return True, (
+                f"none at {place} yet; `make ui`, `nvsf train` and `python -m pipelines.instance` make it, "
+                "the bare `dagster` does not"
+            )
         if not (place / "history").is_dir():
             return True, f"{place}, without any run yet"
         with dg.DagsterInstance.from_config(str(place)) as instance:

@@ -138,6 +138,7 @@ def test_the_doctor_looks_at_everything_and_nothing_that_is_needed_is_missing_he
         "open3d", "LPIPS weights", "executors", "Dagster instance",
     } == subjects  # fmt: skip
     assert all(f" {subject}: " in said.output for subject in subjects)
+    assert "`python -m pipelines.instance` make it, the bare `dagster` does not" in said.output
     assert not (list(os.scandir(os.environ["NVSF_HOME"])) if os.path.isdir(os.environ["NVSF_HOME"]) else [])
 
 

@@ -13,6 +13,13 @@ from pipelines.instance import TEMPLATE, make_instance
 from tests.conftest import clean_environment
 
 
+def test_the_instance_lies_in_the_home_where_none_is_named(repo: Path, tmp_path: Path) -> None:
+    environment = clean_environment() | {"NVSF_HOME": str(tmp_path)}
+    command = [sys.executable, "-m", "pipelines.instance"]
+    subprocess.run(command, cwd=repo, env=environment, check=True)
+    assert (tmp_path / "dagster" / TEMPLATE).is_file()
+
+
 def test_two_first_runs_at_once_make_one_instance(repo: Path, tmp_path: Path) -> None:
     place = tmp_path / "home/dagster"
     environment = clean_environment() | {"DAGSTER_HOME": str(place)}
