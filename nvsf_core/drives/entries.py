@@ -88,9 +88,10 @@ class SceneEntry:
     """Licence of the recording in a few words, for the cards of its data sets; None = not stated."""
     cut_frames: int | None = None
     """Most frames of a part of a long drive: the entry stands for scenes `name_000`, `name_001`, ..., each
-    trained by itself; `nvsf join` makes one data set of theirs. None = one scene."""
+    trained by itself; `nvsf join` makes one data set of theirs. Its views name frames or `rate_hz` on the
+    recorded path, not `times_s`, `frozen_at_s` or a path of their own. None = one scene."""
     overlap_frames: int = 8
-    """Frames that neighbouring parts share at least."""
+    """Frames that neighbouring parts share at least; less than half of `cut_frames`."""
     views: tuple[ViewEntry, ...] = ()
     """The views that apply to this scene."""
 
