@@ -260,8 +260,8 @@ def find_scene(name: str) -> SceneEntry:
             return entry
     known = {entry.name.casefold(): entry.name for entry in catalogue}
     near = [known[one] for one in difflib.get_close_matches(name.casefold(), known)]
-    hint = "; names are separated by blanks" if "," in name else ""
-    hint += f"; did you mean {' or '.join(near)}?" if near else ""
+    hint = f" (did you mean {' or '.join(near)}?)" if near else ""
+    hint = " (names are separated by blanks)" if "," in name else hint
     raise DataError(
         f"no scene {name!r:.100} in the catalogue{hint}; it has {', '.join(known.values())}. NVSF_SCENES "
         "names other catalogues"
