@@ -25,7 +25,7 @@ MOST_OF_MEDIAN = 2.2
 """Measured: at most 1.5 over real streets, 2.9 for scans of none of the neighbouring frames."""
 FRAME_CHECK = NamedCheck(
     name="neighbouring_scans_agree_with_their_poses",
-    description="Neighbouring scans, laid over each other by their poses, are registered (open3d's "
+    description="Every two neighbouring scans, laid over each other by their poses, are registered (open3d's "
     f"point-to-plane ICP). Value: how far the worst pair moved; it may turn by {MOST_TURN_DEG} degrees, and "
     f"{FEWEST_MATCHED:.0%} of its points must match. More motion means wrong poses or times. Motions that "
     f"slide along all surfaces, as in a tunnel or on a plain (less than {LEAST_ACROSS:.0%} across them), are "

@@ -180,6 +180,20 @@ def test_a_wrong_pose_is_found(shift_m, passed):
     assert not check.blocking
 
 
+def test_a_jump_of_the_poses_is_found_between_any_two_scans():
+    _require_open3d()
+    right = street(0.0)
+    returns = right["offsets"][1]
+    arrays = {name: np.tile(right[name][:returns], (6, 1)) for name in ("direction", "origin_m")}
+    arrays |= {name: np.tile(right[name][:returns], 6) for name in ("range_m", "is_own_vehicle")}
+    arrays |= {"frame": np.arange(10, 16), "offsets": np.arange(7) * returns}
+    for later in range(1, 6):
+        jumped_m = np.repeat(np.where(np.arange(6) >= later, 0.3, 0.0), returns)[:, None]
+        check = registration_check(arrays | {"origin_m": arrays["origin_m"] + jumped_m * [1.0, 1.0, 0.0]})
+        assert not check.passed and check.detail.startswith("5 pairs")
+        assert check.detail.endswith(f"doubtful at frames {9 + later} and {10 + later}")
+
+
 def test_right_poses_in_a_tunnel_are_not_blamed_for_what_no_wall_tells():
     _require_open3d()
     check = registration_check(tunnel((0.0, 0.0, 0.0)))
