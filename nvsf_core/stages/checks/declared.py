@@ -43,8 +43,9 @@ MOST_TILT_DEG = 15.0
 UPRIGHT_CHECK = NamedCheck(
     name="z_is_up",
     description="The normal of the ground below the LiDAR, in the mean of some scans, against the poses' z "
-    "and the LiDAR's. Value: the smaller angle, because on a hill the LiDAR stands as the ground lies. More "
-    "says that the poses are in the frame of a tilted sensor; but heights above ground are taken along z.",
+    "and the LiDAR's. Value: the smaller angle, because on a hill the LiDAR stands as the ground lies; the "
+    "LiDAR's where over 90 degrees: upside down. More says that poses are in the frame of a tilted sensor; "
+    "but heights above ground are taken along z.",
 )
 SWEEP_CHECKS = (FRAME_CHECK, ORDER_CHECK, UPRIGHT_CHECK)
 

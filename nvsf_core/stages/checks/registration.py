@@ -133,17 +133,25 @@ def upright_check(
     normal = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
     from_lidar = np.mean((normals * lidar_to_scene[scans, :3, 2]).sum(axis=1))
     off_z_deg, off_lidar_deg = np.degrees(np.arccos(np.clip([normal[2], from_lidar], -1.0, 1.0)))
-    is_tilted = min(off_z_deg, off_lidar_deg) > MOST_TILT_DEG
+    # Normals are taken to point along the poses' z. A LiDAR's z is up: where it points down, poses are wrong.
+    is_upside_down = off_lidar_deg > 90.0
+    off_deg = float(off_lidar_deg if is_upside_down else min(off_z_deg, off_lidar_deg))
+    is_tilted = off_deg > MOST_TILT_DEG
     remedy = (
         ": what does not move may be taken to move; turn all poses (from the left) so that the normal, "
         f"{_vector(scene_to_world[:3, :3] @ normal)}, becomes (0, 0, 1)"
     )
+    if is_upside_down:
+        remedy = (
+            ": the sensor stands upside down in the world; write quaternions as x, y, z, w and poses in a "
+            "world with z up (not down, as north-east-down)"
+        )
     return Check(
         name=UPRIGHT_CHECK.name,
         passed=not is_tilted,
         detail=f"the ground's normal is {off_z_deg:.1f} degrees off the poses' z and {off_lidar_deg:.1f} off "
         f"the LiDAR's, in the mean of {len(scans)} scans{remedy if is_tilted else ''}",
-        value=float(min(off_z_deg, off_lidar_deg)),
+        value=off_deg,
         limit=MOST_TILT_DEG,
         unit="deg",
     )

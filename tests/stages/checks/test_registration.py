@@ -159,6 +159,16 @@ def test_poses_of_a_tilted_sensors_frame_are_found_and_hills_are_not(lidar_tilt_
         assert "so that the normal, (0.00, 0.50, 0.87), becomes (0, 0, 1)" in check.detail
 
 
+@pytest.mark.parametrize("turned", [[1.0, -1.0, -1.0], [-1.0, 1.0, -1.0]], ids=["about x", "about y"])
+def test_a_drive_that_stands_upside_down_is_found(turned):
+    arrays, poses = hall(12.0, [0, 1, 2, 3, 4, 5])
+    arrays |= {name: arrays[name] * turned for name in ("origin_m", "direction")}
+    poses[:, :3] *= np.array(turned)[:, None]
+    check = upright_check(arrays, poses, np.eye(4))
+    assert not check.passed and check.value == pytest.approx(180.0, abs=2.0)
+    assert "upside down in the world; write quaternions as x, y, z, w" in check.detail
+
+
 def test_without_ground_nothing_is_said_of_up():
     arrays, poses = hall(12.0, [0, 1, 2, 3, 4, 5])
     arrays["is_own_vehicle"] = arrays["direction"][:, 2] < 0.0
