@@ -155,7 +155,8 @@ IN_RANGE = NamedCheck(
 BETTER = NamedCheck(
     name="model_is_better_than_copying",
     description="At the held-out frames the model beats the recorded scan and image nearest in time, copied "
-    "as they are, in at least half of the main numbers. Value: share in which it is worse.",
+    "as they are, in at least half of each sensor's main numbers. Value: share in which it is worse, of the "
+    "worst sensor's.",
 )
 HELD_OUT_HIT_RATE = NamedCheck(
     name="hit_rate_is_as_recorded",

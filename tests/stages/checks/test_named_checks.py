@@ -314,6 +314,21 @@ def test_a_model_worse_than_a_copy_and_darker_scans_are_doubted(store):
     assert "worse in 2 of 2" in found["model_is_better_than_copying"].detail
 
 
+def test_a_camera_worse_than_a_copy_is_doubted_beside_better_scans(store):
+    run, views = _run_plan(store), _views_stage(_nothing)
+    run_named_stage("novel_views", run, str, stages=[views])
+    of_camera = {"protocol": "image", "sensor": "image_00"}
+    better = ("chamfer_m2", "range_abs_error_median_m", "range_missing", "intensity_rmse")
+    rows = [_row(metric, 0.1) for metric in better] + [_row(metric, 0.2, "copy_nearest") for metric in better]
+    rows += [_row("image_psnr_db", 11.8) | of_camera, _row("image_psnr_db", 13.8, "copy_nearest") | of_camera]
+    outcome = run_named_stage("scene_metrics", run, str, stages=[_metrics_stage(rows)])
+    (check,) = [one for one in outcome.checks if one.name == "model_is_better_than_copying"]
+    assert not check.passed and check.value == 1.0
+    assert check.detail == (
+        "worse in 1 of 5 main numbers: image image_00 image_psnr_db; in most of image_00's (1 of 1)"
+    )
+
+
 def test_a_model_that_gives_nothing_in_a_frame_of_the_copy_is_worse_and_a_copy_so_is_not_better(store):
     run, views = _run_plan(store), _views_stage(_nothing)
     run_named_stage("novel_views", run, str, stages=[views])
