@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from nvsf_core.clouds.ground_normal import ground_normals, surface_normals
 from nvsf_core.clouds.registration import Registration, register
 from nvsf_core.errors import MissingLibraryError
-from nvsf_core.geometry.se3 import poses_in
 from nvsf_core.stages.checks.declared import (
     FEWEST_MATCHED,
     FRAME_CHECK,
@@ -18,12 +17,9 @@ from nvsf_core.stages.checks.declared import (
     MOST_TILT_DEG,
     MOST_TURN_DEG,
     ORDER_CHECK,
-    SWEEP_CHECKS,
     UPRIGHT_CHECK,
 )
-from nvsf_core.stages.inputs import scene_frame
-from nvsf_core.stages.runner.stage import Check, Task
-from nvsf_core.stores.arrays import read_arrays, read_attrs
+from nvsf_core.stages.runner.stage import Check
 
 MOST_SHIFT_M = 0.15
 """Largest shift of a pair. Registration was off by 0.024 m at most over 91 pairs of three streets."""
@@ -54,24 +50,22 @@ _MUCH_BETTER = 0.75
 the best wrong reading of right poses 1.3 or more."""
 
 
-def check_registration(task: Task) -> list[Check]:
-    """All named checks of the sweeps in the task's folder."""
-    path = task.folder / "returns.zarr"
-    if read_arrays(path, "frame")["frame"].size == 0:
-        return [named.not_run("this drive has no scan") for named in SWEEP_CHECKS]
-    names = ("frame", "offsets", "origin_m", "direction", "range_m", "is_own_vehicle", "lidar_to_world")
-    arrays = read_arrays(path, *names)
-    scene_to_world = scene_frame(read_attrs(path))
-    poses = poses_in(scene_to_world, arrays["lidar_to_world"])
+def agreement_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) -> Check:
+    """As `registration_check`, and where scans disagree, how poses would have to be read for them to agree.
+
+    Args:
+        arrays: Arrays of `sweeps/returns.zarr`.
+        lidar_to_scene: (n, 4, 4) float64 poses of its scans, scene-local, metres.
+    """
     agree = registration_check(arrays)
-    if not agree.passed and (words := _read_otherwise(arrays, poses)):
+    if not agree.passed and (words := _read_otherwise(arrays, lidar_to_scene)):
         agree = replace(agree, detail=f"scans fit their poses {words}; {agree.detail}")
-    return [agree, order_check(arrays, poses), upright_check(arrays, poses, scene_to_world)]
+    return agree
 
 
 def _read_otherwise(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) -> str:
     """See `other_reading`, of scans placed by their poses (n, 4, 4) in the scene."""
-    clouds = [_evenly(_thinned(arrays, k), _MOST_TRIED) for k in range(len(arrays["frame"]))]
+    clouds = [_evenly(thinned_scan(arrays, k), _MOST_TRIED) for k in range(len(arrays["frame"]))]
     from_scene = np.linalg.inv(lidar_to_scene)
     points_m = [one @ pose[:3, :3].T + pose[:3, 3] for one, pose in zip(clouds, from_scene, strict=True)]
     return other_reading(points_m, arrays["lidar_to_world"])
@@ -89,7 +83,7 @@ def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) ->
         arrays: Arrays of `sweeps/returns.zarr`.
         lidar_to_scene: (n, 4, 4) float64 poses of its scans, scene-local, metres.
     """
-    evenly = [_evenly(_thinned(arrays, k), _MOST_TRIED) for k in range(len(arrays["frame"]))]
+    evenly = [_evenly(thinned_scan(arrays, k), _MOST_TRIED) for k in range(len(arrays["frame"]))]
     own_m, other_m, across = scan_misfits(evenly, lidar_to_scene)
     known, is_free = np.isfinite(own_m), across < _LEAST_ACROSS
     if np.count_nonzero(known) < _FEWEST_SCANS:
@@ -126,7 +120,7 @@ def upright_check(
         lidar_to_scene: (n, 4, 4) float64 poses of its scans, scene-local, metres.
         scene_to_world: (4, 4) pose of the scene's frame in the drive's own world; z is that world's.
     """
-    clouds = [_thinned(arrays, k) for k in range(len(arrays["frame"]))]
+    clouds = [thinned_scan(arrays, k) for k in range(len(arrays["frame"]))]
     normals, scans = ground_normals(clouds, lidar_to_scene)
     if len(scans) < _FEWEST_SCANS:
         return UPRIGHT_CHECK.not_run(f"ground is seen below {len(scans)} scans, expected {_FEWEST_SCANS}")
@@ -165,7 +159,7 @@ def registration_check(arrays: Mapping[str, np.ndarray]) -> Check:
         "not run" and the package to install.
     """
     frame = arrays["frame"]
-    clouds = [_thinned(arrays, k) for k in range(len(frame))]
+    clouds = [thinned_scan(arrays, k) for k in range(len(frame))]
     # Every pair: where poses jump between two scans, all others agree.
     first = [k for k in range(len(frame) - 1) if min(len(clouds[k]), len(clouds[k + 1])) >= _FEWEST_POINTS]
     if not first:
@@ -221,7 +215,7 @@ def _vector(axis: np.ndarray) -> str:
     return "(" + ", ".join(f"{value + 0.0:.2f}" for value in np.round(axis, 2)) + ")"
 
 
-def _thinned(arrays: Mapping[str, np.ndarray], scan: int) -> np.ndarray:
+def thinned_scan(arrays: Mapping[str, np.ndarray], scan: int) -> np.ndarray:
     """(m, 3) points of a scan, scene-local, metres; one per voxel, else near surfaces would dominate."""
     part = slice(int(arrays["offsets"][scan]), int(arrays["offsets"][scan + 1]))
     range_m = arrays["range_m"][part]
