@@ -86,9 +86,15 @@ def _what(manifest: Mapping[str, Any]) -> dict[str, Any]:
         "images": len(images),
         "seconds_of_the_scene": [min(instants), max(instants)] if instants else [],
         "sampled": manifest["drawn"],
-        "formats": list(view["exports"]),
+        "formats": _formats(manifest),
         "camera_names": manifest.get("camera_names", {}),
     }
+
+
+def _formats(manifest: Mapping[str, Any]) -> list[str]:
+    """Formats that it is in: what its view asks for, but for whole trees that a joined data set has not."""
+    absent = manifest.get("not_joined", [])
+    return [name for name in manifest["view"]["exports"] if name not in absent]
 
 
 def _shares(rows: Sequence[Mapping[str, Any]], total: str) -> dict[str, float]:
@@ -132,7 +138,7 @@ def _not_for(
         )
     # 0: each scan is of one instant, as the scene's were taken to be.
     is_moving = manifest.get("sweep_period_s", math.inf) > 0.0
-    if "kitti" in manifest["view"]["exports"] and manifest["scans"] and is_moving:
+    if "kitti" in _formats(manifest) and manifest["scans"] and is_moving:
         found.append(
             "As scans of KITTI's odometry benchmark, which are compensated for the car's motion: those in "
             "`kitti` are not; `velodyne_time` beside them has each point's time."
@@ -159,7 +165,7 @@ def _markdown(card: Mapping[str, Any]) -> str:
         "",
         f"**What.** {what['kind']}: view `{what['view']['name']}`; scans: {what['scans']}, with "
         f"{what['returns']:,} returns; images: {what['images']}; sensors: {sensors}; formats: "
-        f"{', '.join(what['formats'])}.{_camera_words(what['camera_names'])}",
+        f"{', '.join(what['formats']) or 'none'}.{_camera_words(what['camera_names'])}",
         "",
         f"**From what.** {source['files']} recorded files of `{source['recording']}`, scene "
         f"`{source['scene']}`; the manifest has the checksum of each. Licence of the recording: "

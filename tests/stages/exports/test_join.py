@@ -141,6 +141,17 @@ def test_a_joined_data_set_names_all_parts_files_and_frames_and_nothing_of_one_p
     assert "3 recorded files" in (out / "card.md").read_text()
 
 
+def test_the_card_of_joined_data_names_no_format_that_is_not_joined(tmp_path):
+    parts = parts_of("long", cut_scene(ENTRY))
+    view = {**_manifest()["view"], "exports": ["bin", "kitti360"]}
+    folders = [_made(tmp_path, part, k, view=view) for k, (part, _) in enumerate(parts)]
+    out = join_data_sets("long", parts, folders, tmp_path / "joined")
+    assert not (out / "kitti360").exists()
+    assert json.loads((out / "card.json").read_text())["what"]["formats"] == ["bin"]
+    assert "formats: bin." in (out / "card.md").read_text()
+    assert "formats: bin, kitti360." in (folders[0] / "card.md").read_text()
+
+
 def test_the_command_joins_a_view_that_one_part_does_not_ask_for(tmp_path, monkeypatch):
     catalogue = tmp_path / "scenes.toml"
     catalogue.write_text(
