@@ -165,6 +165,14 @@ def identity_of(task: Task, view: ViewEntry, version: str) -> dict[str, Any]:
     }
 
 
+def failed_checks(folder: Path) -> list[Check]:
+    """The checks that a written data set alone fails."""
+    made = read_document(folder / MANIFEST_NAME)
+    name, version = made["view"]["name"], made["version"]
+    found = _checks([_summary(folder, "", name, version, made["scans"], made["images"])])
+    return [check for check in found if not check.passed]
+
+
 def _follow_metrics(task: Task, location: str, found: Mapping[str, Any]) -> None:
     """Write manifest and card of a version that is there anew, if other errors are measured now.
 

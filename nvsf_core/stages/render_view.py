@@ -11,7 +11,7 @@ from nvsf_core.drives.catalogue_views import read_view
 from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.errors import DataError
 from nvsf_core.recipe.base import Recipe
-from nvsf_core.stages.dataset import dataset_version, identity_of, is_there, source_checksums
+from nvsf_core.stages.dataset import dataset_version, failed_checks, identity_of, is_there, source_checksums
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import finish_data_set, write_data_set
 from nvsf_core.stages.field import load_trained
@@ -113,6 +113,7 @@ def render_view(
             except OSError as error:
                 why = error.strerror or error
                 raise DataError(f"out: cannot write {target} ({why}); check space and rights") from error
+            _say_doubts(entry.name, target, say)
             return target
         task = run.task(place, say)
         location = f"dataset/{asked.name}/{dataset_version(task, asked, source_checksums(task))}"
@@ -122,8 +123,15 @@ def render_view(
                 with run.store.publish(location) as folder:
                     _write(run, asked, folder, say)
                     carry_pin(run.store.path(location), folder)
+        _say_doubts(entry.name, run.store.path(location), say)
         keep_newest(run.store, [location], say)
         return run.store.path(location)
+
+
+def _say_doubts(scene: str, folder: Path, say: Progress) -> None:
+    """Say which checks the data set fails: the stage `dataset`, which records them, is not run."""
+    for check in failed_checks(folder):
+        say(f"[{scene}] view: check {check.name} fails: {check.detail}")
 
 
 def _write(run: SceneRun, asked: ViewEntry, folder: Path, say: Progress) -> None:

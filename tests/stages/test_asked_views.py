@@ -191,6 +191,22 @@ def test_a_data_set_written_as_a_drive_is_trained_again(run: Run, tmp_path: Path
         render_view(run.plan.scene, {}, run.plan.store.home, out=folder, progress=lambda line: None)
 
 
+def test_a_view_without_any_return_is_said_to_be_empty(run: Run, tmp_path: Path) -> None:
+    said: list[str] = []
+    for name, shift_m in (("far", [0.0, 900.0, 0.0]), ("near", [0.0, 0.5, 0.0])):
+        keys = {"name": name, "shift_m": shift_m, "frames": [1], "cameras": []}
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(mesh, "poisson_mesh", _missing)
+            folder = render_view(
+                run.plan.scene, keys, run.plan.store.home, out=tmp_path / name, recipe=SMOKE,
+                progress=said.append,
+            )  # fmt: skip
+        manifest = json.loads((folder / "manifest.json").read_text())
+        assert (manifest["scans"][0]["returns"] == 0) == (name == "far")
+    doubts = [line for line in said if "check" in line]
+    assert doubts == ["[tiny] view: check every_scan_has_returns fails: views with an empty scan: ['far']"]
+
+
 def test_a_copied_image_is_the_training_image_nearest_to_the_view(run: Run) -> None:
     recorded = read_arrays(run.root / "undistorted/images.zarr", "image_00_rgb")["image_00_rgb"]
     copied = read_arrays(run.stored("between", "copy_nearest"), "image_00_rgb")["image_00_rgb"]

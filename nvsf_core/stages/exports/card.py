@@ -124,6 +124,9 @@ def _not_for(
     found = []
     if Trust.DO_NOT_USE in trust:
         found.append("For anything but looking at: compared with the recording, it is too far from it.")
+    empty = sum(row["returns"] == 0 for row in manifest["scans"])
+    if empty:
+        found.append(f"For what needs returns in every scan: {empty} of {len(manifest['scans'])} hold none.")
     for kind, shares in support.items():
         guessed = shares.get(Support.GUESSED.region, 0.0)
         if guessed > _GUESSED_NOTICED:
@@ -187,7 +190,7 @@ def _markdown(card: Mapping[str, Any]) -> str:
         "",
         "## What the recording knows of it",
         "",
-        *_support_lines(card["support"]),
+        *_support_lines(card["support"], what["scans"] > 0 and what["returns"] == 0),
     ]
     if card["trust"]:
         lines += ["", "## Compared with the recording", ""]
@@ -232,8 +235,8 @@ def _in_words(value: float, unit: str) -> str:
     return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
 
 
-def _support_lines(support: Mapping[str, Mapping[str, float]]) -> list[str]:
-    if not support:
+def _support_lines(support: Mapping[str, Mapping[str, float]], has_no_return: bool) -> list[str]:
+    if not support and not has_no_return:
         return ["Not known: it was rendered without support."]
     words = {
         Support.SEEN: "seen: recorded from about there",
@@ -241,6 +244,10 @@ def _support_lines(support: Mapping[str, Mapping[str, float]]) -> list[str]:
         Support.GUESSED: "guessed: never recorded",
     }
     return [
-        f"- of the {kind}: " + "; ".join(f"{shares[one.region]:.1%} {text}" for one, text in words.items())
-        for kind, shares in support.items()
+        *(["- of the returns: no scan holds one"] if has_no_return else []),
+        *(
+            f"- of the {kind}: "
+            + "; ".join(f"{shares[one.region]:.1%} {text}" for one, text in words.items())
+            for kind, shares in support.items()
+        ),
     ]

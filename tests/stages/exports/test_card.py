@@ -68,6 +68,15 @@ def test_a_card_says_what_the_data_are_not_for(tmp_path: Path) -> None:
     assert "nothing was blurred" in card["faces_and_licence_plates"]
 
 
+def test_a_card_of_scans_without_a_return_says_so_and_nothing_of_support(tmp_path: Path) -> None:
+    counts = {"support_seen": 0, "support_extrapolated": 0, "support_guessed": 0}
+    scans = [{"returns": 0, "time_s": 0.1, **counts}]
+    card, text = _written(tmp_path, _manifest(scans=scans))
+    assert any("1 of 1 hold none" in line for line in card["not_for"])
+    assert "- of the returns: no scan holds one" in text and "without support" not in text
+    assert not any("hold none" in line for line in _written(tmp_path, _manifest())[0]["not_for"])
+
+
 def test_a_card_says_that_scans_of_kitti_are_not_compensated(tmp_path: Path) -> None:
     exported = {"name": "left", "sensor": None, "exports": ["bin", "kitti"]}
     card, _ = _written(tmp_path, _manifest(view=exported))
