@@ -1,5 +1,6 @@
 """Reading and validation of a section of a drive: its frames and images, their poses, and their faults."""
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -7,7 +8,7 @@ import numpy as np
 
 from nvsf_core.drives.drive import AbstractDrive, Boxes, DriveFacts, drive_of
 from nvsf_core.drives.entries import SceneEntry
-from nvsf_core.drives.kitti360.boxes import Box
+from nvsf_core.drives.kitti360.boxes import STATIC_FRAME, Box
 from nvsf_core.drives.kitti360.calibration import Calibration
 from nvsf_core.drives.kitti360.frames import FrameTimes, PoseDisagreement
 from nvsf_core.errors import DataError
@@ -106,7 +107,7 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
     _require_something(source, facts, frames, images)
     labelled = source.boxes()
     scene_to_world = _scene_to_world(frames)
-    boxes, far = _near_boxes(labelled, scene_to_world[:3, 3])
+    boxes, left_out = _usable_boxes(labelled, scene_to_world[:3, 3])
     notes = [*calibration.notes, *boxes.notes, *facts.notes]
     if calibration.lidar_is_assumed:
         notes.append("no LiDAR mounting (camera-only drive): lidar_to_world is the pose frame, turned z up")
@@ -114,7 +115,7 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
         frames=tuple(frames),
         images=tuple(images),
         boxes=boxes.boxes,
-        boxes_left_out=(*boxes.left_out, *far),
+        boxes_left_out=(*boxes.left_out, *left_out),
         has_scans=facts.has_scans,
         sensor=facts.sensor,
         calibration=calibration,
@@ -209,13 +210,17 @@ def _scene_to_world(frames: list[FrameRow]) -> np.ndarray:
     return pose_from_parts(exp_so3(np.array([0.0, 0.0, heading_rad])), middle[:3, 3])
 
 
-def _near_boxes(found: Boxes, origin_m: np.ndarray) -> tuple[Boxes, list[str]]:
-    """The boxes that are near the section, and a reason for each of the others."""
-    near, far = [], []
+def _usable_boxes(found: Boxes, origin_m: np.ndarray) -> tuple[Boxes, list[str]]:
+    """The boxes near the section, one of an object in a frame, and a reason for each of the others."""
+    usable, left_out = [], []
+    count = Counter((box.frame, box.object_id) for box in found.boxes if box.frame != STATIC_FRAME)
     for box in found.boxes:
-        if np.linalg.norm(box.box_to_world[:3, 3] - origin_m) <= _FARTHEST_BOX_M:
-            near.append(box)
+        place, times = f"object {box.object_id} in frame {box.frame}", count[box.frame, box.object_id]
+        if np.linalg.norm(box.box_to_world[:3, 3] - origin_m) > _FARTHEST_BOX_M:
+            left_out.append(f"{place}: more than {_FARTHEST_BOX_M:g} m away")
+        elif times > 1:
+            # It is at one place at a time, and nothing says at which.
+            left_out.append(f"{place}: expected one box, found {times}")
         else:
-            place = f"object {box.object_id} in frame {box.frame}"
-            far.append(f"{place}: more than {_FARTHEST_BOX_M:g} m away")
-    return replace(found, boxes=tuple(near)), far
+            usable.append(box)
+    return replace(found, boxes=tuple(usable)), left_out

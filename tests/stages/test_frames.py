@@ -150,6 +150,30 @@ def test_images_of_another_clock_are_named_though_none_has_a_pose(tmp_path: Path
     assert not found.passed and f"{len(FRAMES)} images left out" in found.detail
 
 
+def test_an_object_that_is_at_two_places_in_a_frame_is_left_out_there_and_named(tmp_path: Path) -> None:
+    import_drive(drive(tmp_path / "recorded"), tmp_path / "plain", progress=str)
+    of_box = ["frame,object_id,label,dynamic,x,y,z,qx,qy,qz,qw,length,width,height"]
+    places = (
+        (11, 7, 1010.0),
+        (11, 7, 1015.0),
+        (12, 7, 1011.0),
+        (11, 8, 1020.0),
+        (-1, 9, 990.0),
+        (-1, 9, 980.0),
+    )
+    for frame, object_id, x_m in places:
+        of_box.append(f"{frame},{object_id},car,{int(frame >= 0)},{x_m},3705,110,0,0,0,1,4,2,1.5")
+    (tmp_path / "plain/boxes.csv").write_text("\n".join(of_box))
+    (entry,) = load_catalogue([tmp_path / "plain/scenes.toml"], None)
+    outcome = run(entry, tmp_path / "home")
+    (found,) = [check for check in outcome.checks if check.name == "all_boxes_are_usable"]
+    assert not found.passed and found.detail.startswith(
+        "2 boxes left out: object 7 in frame 11: expected one"
+    )
+    kept = [(row["frame"], row["object_id"]) for row in read_rows(outcome.path / "boxes.parquet")]
+    assert sorted(kept) == [(-1, 9), (-1, 9), (11, 8), (12, 7)]
+
+
 def test_a_lidar_only_drive_passes(tmp_path: Path) -> None:
     entry = drive(tmp_path / "d")
     layout = DriveLayout(entry.root, entry.sequence)
