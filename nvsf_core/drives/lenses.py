@@ -21,7 +21,9 @@ _POLYNOMIAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 """OpenCV's order; ROS names it `plumb_bob` (5) or `rational_polynomial` (8)."""
 _FISHEYE = ("k1", "k2", "k3", "k4")
 """OpenCV's fisheye, ROS's `equidistant`: Kannala and Brandt's model."""
-MODELS = ("pinhole", "fisheye", "mei")
+_FOCAL = ("fx", "fy", "cx", "cy")
+_OWN_KEYS = {"pinhole": (*_FOCAL, "distortion"), "fisheye": (*_FOCAL, "distortion"), "mei": _MEI}
+MODELS = tuple(_OWN_KEYS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +49,8 @@ def lens_of(raw: Mapping[str, Any], where: str) -> Lens:
 
     Args:
         raw: `model` (`pinhole`, `fisheye` or `mei`), `width`, `height`, and of a pinhole or fisheye `fx`,
-            `fy`, `cx`, `cy` and `distortion`, names to numbers; of `mei` the model's nine numbers.
+            `fy`, `cx`, `cy` and `distortion`, names to numbers; of `mei` the model's nine numbers. Beside
+            them there may be `camera_to_lidar`, which is not looked at.
         where: File and camera, for messages.
 
     Raises:
@@ -56,6 +59,13 @@ def lens_of(raw: Mapping[str, Any], where: str) -> Lens:
     model = raw.get("model", "pinhole")
     if model not in MODELS:
         raise CalibrationError(f"{where}: model: expected one of {', '.join(MODELS)}, found {model!r:.60}")
+    known = ("model", "width", "height", *_OWN_KEYS[model], "camera_to_lidar")
+    unknown = sorted(set(raw) - set(known))
+    if unknown:  # a misspelt `distortion` would make a perfect pinhole of any lens
+        raise CalibrationError(
+            f"{where}: expected the keys of a {model}, {', '.join(known)}, found {unknown[0]!r:.60}; correct "
+            "it, or take it out"
+        )
     width, height = (_whole(raw, key, where) for key in ("width", "height"))
     too_small = recorded_size_fault(width, height)
     if too_small is not None:
@@ -63,7 +73,7 @@ def lens_of(raw: Mapping[str, Any], where: str) -> Lens:
     if model == "mei":
         values = {key: _number(raw, key, where) for key in _MEI}
         return Lens(MeiFisheye(**values, width=width, height=height), None)
-    fx, fy, cx, cy = (_number(raw, key, where) for key in ("fx", "fy", "cx", "cy"))
+    fx, fy, cx, cy = (_number(raw, key, where) for key in _FOCAL)
     fault = intrinsics_fault((fx, fy), (cx, cy), (width, height))
     if fault is not None:
         raise CalibrationError(f"{where}: {fault}")

@@ -232,6 +232,8 @@ def test_bad_frames_of_a_plain_drive_are_named_one_by_one_and_left_out(plain, tm
         ("drive.json", '{"lidar": "HDL-65"}', r"drive\.json: lidar: expected 'found' or one of HDL-64E"),
         ("cameras.json", '{"image_00": {"model": "box"}}', r"image_00: model: expected one of pinhole"),
         ("cameras.json", "{", r"cameras\.json: expected JSON"),
+        ("cameras.json", '{"image_00": {}, "image_00": {}}', r"each key once, found 'image_00' again"),
+        ("cameras.json", '{"image_00": {"colour": "bgr"}}', r"image_00: expected the keys of .* 'colour'"),
     ],
 )
 def test_a_mistake_in_a_table_is_named_with_file_and_place(plain, tmp_path, name, text, reason):

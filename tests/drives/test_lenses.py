@@ -131,6 +131,8 @@ def test_a_camera_without_distortion_is_used_as_it_is():
         ({"fx": None}, "fx: expected a number"),
         ({"width": 10.5}, "width: expected a whole number"),
         ({"distortion": {"k9": 1.0}}, "distortion: expected numbers k1"),
+        ({"distorsion": {"k1": -0.3}}, "front: expected the keys of a pinhole, .*distortion.*'distorsion'"),
+        ({"xi": 1.0}, "front: expected the keys of a pinhole, .* found 'xi'; correct it"),
         ({"fx": -5.0}, "front: "),
         ({"height": 1, "cy": 0.0}, "front: expected an image of at least 8 x 8 pixels, found 160 x 1; leave"),
         ({"height": 7, "distortion": {"k1": -0.1}}, "front: .* found 160 x 7"),

@@ -103,15 +103,23 @@ def read_json(path: Path) -> dict[str, Any]:
     """An object of a small JSON file.
 
     Raises:
-        CalibrationError: It cannot be read, or is none.
+        CalibrationError: It cannot be read, is none, or has a key twice, of which only one would hold.
     """
     try:
-        raw = json.loads(read_calibration_text(path))
+        raw = json.loads(read_calibration_text(path), object_pairs_hook=_once_each)
     except (ValueError, RecursionError) as error:
         raise CalibrationError(f"{path}: expected JSON ({error!s:.100}); correct the file") from error
     if not isinstance(raw, dict):
         raise CalibrationError(f"{path}: expected a JSON object, found {raw!r:.60}")
     return raw
+
+
+def _once_each(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    names = [name for name, _ in pairs]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise ValueError(f"expected each key once, found {twice[0]!r:.60} again")
+    return dict(pairs)
 
 
 def _mounting(raw: Mapping[str, Any], key: str, where: str, default: np.ndarray | None) -> np.ndarray:
