@@ -169,7 +169,7 @@ def _keys(lines: Sequence[str]) -> dict[str, Any]:
 def _checked(scene: str | None, asked: ViewEntry | None) -> Iterator[str]:
     """A line for each view of a scene, or of all that have data; a mistake is raised."""
     from nvsf_core.drives.catalogue import catalogue_from_environment
-    from nvsf_core.drives.drive import has_data
+    from nvsf_core.drives.drive import has_data, why_no_data
     from nvsf_core.drives.view_checks import described
     from nvsf_core.drives.view_truth import require_truth
     from nvsf_core.stages import find_scene
@@ -184,10 +184,7 @@ def _checked(scene: str | None, asked: ViewEntry | None) -> Iterator[str]:
         lines = described(chosen) or ["no view is asked for but `test`: add a [[view]], or give KEYS"]
         yield from (f"{entry.name}, {line}" for line in lines)
     if absent and scene:
-        raise DataError(
-            f"{scene}: not checked, no data at {absent[0].root}; correct the scene's root, or set "
-            "NVSF_KITTI360_ROOT"
-        )
+        raise DataError(f"{scene}: not checked, no data at {absent[0].root}: {why_no_data(absent[0])}")
     if absent:
         yield f"not checked, no data here: {', '.join(entry.name for entry in absent)}"
 

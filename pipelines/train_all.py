@@ -25,7 +25,7 @@ from assets.report import CURVES, REPORT, made_of
 from assets.scenes import key_of, register
 from assets.verdicts import reason_of
 from assets.workspace import Workspace, catalogue
-from nvsf_core.drives.drive import has_data
+from nvsf_core.drives.drive import has_data, why_no_data
 from nvsf_core.errors import NvsfError, StageKilledError
 from nvsf_core.stages import STAGES, Stage, find_scene
 from nvsf_core.stages.flow import SCENE_METRICS
@@ -100,11 +100,9 @@ def _prepare_drive(name: str, context: dg.OpExecutionContext) -> str:
     try:
         entry = find_scene(name)
         write_demo_where_absent(entry, context.log.info)
-        if has_data(entry):
-            return ""
+        return "" if has_data(entry) else f"drive: no data at {entry.root}: {why_no_data(entry)}"
     except NvsfError as error:
         return f"drive: {error}"
-    return f"drive: no data at {entry.root} for {entry.sequence}; set the scene's root or NVSF_KITTI360_ROOT"
 
 
 @functools.cache

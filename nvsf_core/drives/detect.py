@@ -77,7 +77,10 @@ def whole_drive(
         compensate=_compensate(source, kind, chosen),
     )  # fmt: skip
     try:
-        recorded = drive_of(entry).section().recorded
+        source_drive = drive_of(entry)
+        recorded = source_drive.section().recorded
+        if recorded is None:
+            source_drive.unread()
     except OSError as error:
         raise DataError(f"{source}: cannot be read ({error.strerror}); check its permissions") from error
     if recorded is None:

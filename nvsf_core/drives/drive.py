@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.drives.entries import SceneEntry
+from nvsf_core.drives.entries import KITTI360, SceneEntry
 from nvsf_core.drives.kitti360.boxes import Box
 from nvsf_core.drives.kitti360.calibration import Calibration
 from nvsf_core.drives.kitti360.frames import FrameTimes, PoseDisagreement
@@ -20,7 +20,7 @@ from nvsf_core.drives.kitti360.text import checksum_of
 from nvsf_core.drives.section import Section
 from nvsf_core.errors import DataError
 
-__all__ = ["AbstractDrive", "Boxes", "DriveFacts", "Recorded", "drive_of", "has_data"]
+__all__ = ["AbstractDrive", "Boxes", "DriveFacts", "Recorded", "drive_of", "has_data", "why_no_data"]
 
 _READERS = {
     "kitti360": "nvsf_core.drives.kitti360.source:Kitti360Drive",
@@ -116,6 +116,15 @@ class AbstractDrive(ABC):
             CalibrationError: A calibration file is absent, or a key is missing or damaged.
             DataError: A line of poses or times cannot be read.
         """
+
+    def unread(self) -> list[str]:
+        """Words on what seems to be the drive's and is not read, as misnamed files; by default nothing.
+
+        Raises:
+            DataError: A sensor would be lost by it, or a frame has two files.
+            OSError: A folder cannot be read.
+        """
+        return []
 
     @abstractmethod
     def times(self) -> FrameTimes:
@@ -260,6 +269,26 @@ def has_data(scene: SceneEntry) -> bool:
             f"scene {scene.name}: cannot look into {error.filename or scene.root} ({error.strerror}); "
             "correct its root, or its permissions"
         ) from error
+
+
+def why_no_data(scene: SceneEntry) -> str:
+    """Why nothing of a scene's frames is on this machine, and what to do.
+
+    Raises:
+        DataError: There are files, under names that are not read.
+        OSError: A folder cannot be read.
+    """
+    source = drive_of(scene)
+    source.unread()
+    recorded = source.section().recorded
+    frames = f"frames {scene.first_frame} to {scene.last_frame}"
+    asked = f"expected scans or images of {frames} of {scene.sequence} under {scene.root}"
+    if recorded is not None:
+        return (
+            f"{asked}, found frames within {recorded[0]} to {recorded[1]}; correct first_frame and last_frame"
+        )
+    words = "correct its root, or set NVSF_KITTI360_ROOT" if scene.kind == KITTI360 else "correct its root"
+    return f"{asked}, found none; {words}"
 
 
 def _require_unchanged(found: Recorded, validated: str) -> None:

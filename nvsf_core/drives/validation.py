@@ -85,6 +85,8 @@ class Drive:
     """Of `poses.txt` and `cam0_to_world.txt`; None if the drive does not have both."""
     notes: tuple[str, ...]
     """What was assumed or left out, and why."""
+    unread: tuple[str, ...]
+    """What seems to be the drive's and is not read, as misnamed files."""
 
 
 def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
@@ -94,9 +96,12 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
 
     Raises:
         CalibrationError: A calibration file is absent, or a key is missing or damaged.
-        DataError: A line of poses or times cannot be read, or no scan or image of the section can be used.
+        DataError: A line of poses or times cannot be read, no scan or image of the section can be used, or
+            see `AbstractDrive.unread`.
     """
     source = drive_of(entry)
+    # First: what else seems to lack may have another name.
+    unread = source.unread()
     facts = source.facts()
     calibration, times = facts.calibration, facts.times
     frames, images = [], []
@@ -123,6 +128,7 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
         scene_to_world=scene_to_world,
         disagreement=facts.disagreement,
         notes=tuple(notes),
+        unread=tuple(unread),
     )
 
 

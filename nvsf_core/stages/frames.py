@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from nvsf_core._types import Scalar
-from nvsf_core.drives.drive import has_data
+from nvsf_core.drives.drive import has_data, why_no_data
 from nvsf_core.drives.validation import Drive, read_drive
 from nvsf_core.errors import NoDataError
 from nvsf_core.geometry.se3 import invert_pose, poses_in
@@ -46,12 +46,7 @@ _JUMP_M_S = 700.0
 def run(task: Task) -> StageOutput:
     """Read the drive and write its table of frames; the stage `frames`."""
     if not has_data(task.scene):
-        entry = task.scene
-        raise NoDataError(
-            f"scene {entry.name}: expected scans or images of frames {entry.first_frame} to "
-            f"{entry.last_frame} of {entry.sequence} under {entry.root}, found none; correct its root, or "
-            "set NVSF_KITTI360_ROOT"
-        )
+        raise NoDataError(f"scene {task.scene.name}: {why_no_data(task.scene)}")
     say = sparse(task.progress, _SECONDS_PER_LINE)
     drive = read_drive(task.scene, lambda line: say(f"[{task.scene.name}] frames: {line}"))
     _write(task.folder, drive)
@@ -173,6 +168,8 @@ def _checks(drive: Drive) -> list[Check]:
     uncalibrated = list(drive.calibration.notes)
     checks.append(_listing("all_cameras_are_calibrated", uncalibrated, "cameras left out"))
     checks.append(_listing("all_boxes_are_usable", list(drive.boxes_left_out), "boxes left out"))
+    if drive.unread:
+        checks.append(_listing("all_names_are_known", list(drive.unread), "kinds of files passed over"))
     if drive.disagreement is not None:
         gap = drive.disagreement
         checks.append(

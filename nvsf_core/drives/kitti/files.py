@@ -16,7 +16,8 @@ from nvsf_core.drives.kitti360.calibration import CameraCalibration
 from nvsf_core.drives.kitti360.images import decode_picture, jpeg_size, read_image_bytes
 from nvsf_core.drives.kitti360.layout import CAMERAS
 from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan_bytes
-from nvsf_core.drives.plain.layout import numbered_files
+from nvsf_core.drives.plain.layout import IMAGE_KINDS, numbered_files
+from nvsf_core.drives.plain.unread import require_one_of_each, unnamed_files
 from nvsf_core.drives.posed import AbstractPosedDrive
 from nvsf_core.drives.section import Section
 from nvsf_core.errors import CalibrationError
@@ -114,6 +115,18 @@ class AbstractKittiDrive(AbstractPosedDrive):
             gaps=tuple(f"{self.scans_dir.relative_to(self.scene.root)}/{frame}.bin" for frame in gaps),
             recorded=(everything[0], everything[-1]) if everything else None,
         )
+
+    def unread(self) -> list[str]:
+        """Misnamed files. A JPEG beside a frame's PNG is none."""
+        used = CAMERAS if self.scene.cameras is None else self.scene.cameras
+        folders = [self.images_dir(name) for name in used]
+        words = unnamed_files(self.scans_dir, ("bin",))
+        words += [one for folder in folders for one in unnamed_files(folder, IMAGE_KINDS)]
+        require_one_of_each(self.scans_dir, ("bin",), self.frames)
+        for folder in folders:
+            require_one_of_each(folder, ("png",), self.frames)
+            require_one_of_each(folder, ("jpg", "jpeg"), self.frames)
+        return words
 
     def has_scans(self) -> bool:
         """Whether there is a scan at all."""

@@ -27,6 +27,7 @@ from nvsf_core.drives.kitti360.images import decode_image, read_image_bytes
 from nvsf_core.drives.kitti360.layout import CAMERAS, FISHEYE_CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan_bytes
 from nvsf_core.drives.kitti360.text import require_folder
+from nvsf_core.drives.plain.unread import require_none_in, unnamed_files, with_folders_below
 from nvsf_core.drives.section import Section
 from nvsf_core.sensors.tables import HDL_64E
 
@@ -66,6 +67,16 @@ class Kitti360Drive(AbstractDrive):
             gaps=tuple(_below(path, layout) for path in wanted if not lexists(path)),
             recorded=(frames[0], frames[-1]) if frames else None,
         )
+
+    def unread(self) -> list[str]:
+        """Misnamed files, and scans in a folder of another name."""
+        layout = self._layout
+        scans, sequence = layout.scan_path(0).parent, layout.velodyne_dir.parent
+        if not scans.is_dir() and sequence.is_dir():
+            require_none_in(with_folders_below([sequence, *sequence.iterdir()]), scans, ("bin",))
+        used = self.scene.cameras if self.scene.cameras is not None else CAMERAS
+        words = unnamed_files(scans, ("bin",))
+        return words + [one for name in used for one in unnamed_files(layout.camera_dir(name), ("png",))]
 
     def times(self) -> FrameTimes:
         """Times of the frames, from the timestamp files or a nominal period."""

@@ -79,6 +79,7 @@ def read_cameras(
             what = "no images" if name not in present else f"no entry in {path.name}"
             raise CalibrationError(f"{path.parent}: camera {name} was asked for, but has {what}; add it")
     notes = [f"{name} left out: no entry in {path.name}" for name in present if name not in raw]
+    notes += [f"{name} left out: no images of it" for name in raw if name not in present]
     names = [name for name in present if name in raw] if wanted is None else list(wanted)
     cameras, lenses = {}, {}
     for name in names:

@@ -79,11 +79,14 @@ def numbered_files(folder: Path, kinds: tuple[str, ...]) -> dict[int, Path]:
     Raises:
         OSError: The folder cannot be read.
     """
-    found: dict[int, Path] = {}
-    if not folder.is_dir():
-        return found
-    for path in sorted(folder.iterdir()):
+    return {number: paths[0] for number, paths in files_by_number(folder, kinds).items()}
+
+
+def files_by_number(folder: Path, kinds: tuple[str, ...]) -> dict[int, list[Path]]:
+    """As `numbered_files`, with all files of a number, sorted by name."""
+    found: dict[int, list[Path]] = {}
+    for path in sorted(folder.iterdir()) if folder.is_dir() else []:
         is_number = path.stem.isascii() and path.stem.isdecimal() and len(path.stem) <= _MOST_DIGITS
         if is_number and path.suffix.lower().removeprefix(".") in kinds:
-            found.setdefault(int(path.stem), path)
+            found.setdefault(int(path.stem), []).append(path)
     return dict(sorted(found.items()))

@@ -16,9 +16,10 @@ from nvsf_core.drives.kitti360.text import read_bytes
 from nvsf_core.drives.lenses import Lens
 from nvsf_core.drives.plain.box_table import read_box_table
 from nvsf_core.drives.plain.clouds import Columns, read_bin, read_pcd, read_ply
-from nvsf_core.drives.plain.description import Description, read_cameras, read_description
+from nvsf_core.drives.plain.description import Description, read_cameras, read_description, read_json
 from nvsf_core.drives.plain.layout import IMAGE_KINDS, SCAN_KINDS, PlainLayout, numbered_files
 from nvsf_core.drives.plain.tables import read_pose_table, read_times
+from nvsf_core.drives.plain.unread import require_one_of_each, unknown_names, unnamed_files
 from nvsf_core.drives.point_times import after_frame
 from nvsf_core.drives.posed import AbstractPosedDrive, PosePath
 from nvsf_core.drives.section import Section
@@ -83,6 +84,19 @@ class PlainDrive(AbstractPosedDrive):
             gaps=tuple(gaps),
             recorded=(everything[0], everything[-1]) if everything else None,
         )
+
+    def unread(self) -> list[str]:
+        """Misnamed files and folders."""
+        layout, wanted = self.layout, self.scene.cameras
+        cameras = [name for name in self._images if wanted is None or name in wanted]
+        places = [(layout.scans_dir, SCAN_KINDS), *((layout.beside_dir(name), ("bin",)) for name in _BESIDE)]
+        places += [(layout.images_dir(name), IMAGE_KINDS) for name in cameras]
+        words = [one for folder, kinds in places for one in unnamed_files(folder, kinds)]
+        for folder, kinds in places:
+            require_one_of_each(folder, kinds, self.frames)
+        may_lack = wanted is None and not any(self._images.values())
+        lacks_images = may_lack and lexists(layout.cameras_path) and bool(read_json(layout.cameras_path))
+        return words + unknown_names(layout, has_scans=self.has_scans(), lacks_images=lacks_images)
 
     def facts(self) -> DriveFacts:
         """Calibration, poses and times.

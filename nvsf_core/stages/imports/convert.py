@@ -79,7 +79,7 @@ def import_drive(
 
 def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[str], None]) -> Imported:
     source = drive_of(scene)
-    notes: list[str] = []
+    left_out, notes = source.unread(), list[str]()
     if isinstance(source, AbstractPosedDrive) and source.pose_path() is None:
         source.given_path, words = found_path(source, progress)
         notes.append(words)
@@ -92,7 +92,6 @@ def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[s
         notes.append(f"the scans are not of an {HDL_64E.name}: their lasers are to be found")
     target = TARGETS[layout](folder, scene, facts)
     target.path = source.path_of_section() if isinstance(source, AbstractPosedDrive) else None
-    left_out: list[str] = []
     scans, images = 0, 0
     for number, frame in enumerate(source.frames):
         progress(f"frame {frame}, {number} of {len(source.frames)} done")
