@@ -200,6 +200,7 @@ def _checked(scene: str | None, asked: ViewEntry | None) -> Iterator[str]:
 @click.option("--last", type=int, help="Last frame; default: the last there is.")
 @click.option("--lidar", help="The LiDAR's name, or `found`; default: as SOURCE says.")
 @click.option("--topic", help="Of a bag with several topics of point clouds, the one to read.")
+@click.option("--sweep-period", type=float, metavar="SECONDS", help="Of one sweep; default: as SOURCE says.")
 @click.option("--rectified", multiple=True, metavar="CAMERA", help="Of a bag, one of rectified images.")
 def import_(
     source: Path,
@@ -207,6 +208,7 @@ def import_(
     layout: str,
     first: int | None,
     last: int | None,
+    sweep_period: float | None,
     rectified: tuple[str, ...],
     **named: str,
 ) -> None:
@@ -223,6 +225,8 @@ def import_(
         layout: `plain` or `kitti360`.
         first: First frame; None = the first there is.
         last: Last frame; None = the last there is.
+        sweep_period: Duration of a sweep, and time from frame to frame where there are no times; None = as
+            the recording says.
         rectified: Cameras of a bag whose images are rectified already.
         named: `name`, `kind`, `sequence`, `lidar` and `topic`.
     """  # noqa: D301  as of `view`
@@ -233,7 +237,8 @@ def import_(
 
     kind = named["kind"] or kind_of(source)
     scene = whole_drive(source, kind, named["sequence"], named["lidar"], first, last, named["topic"])
-    scene = replace(scene, name=named["name"] or scene.name, rectified=rectified)
+    name = named["name"] or scene.name
+    scene = replace(scene, name=name, rectified=rectified, sweep_period_s=sweep_period)
     done = import_drive(scene, out, layout=layout, progress=sparse(say_on_stderr))
     for line in (*done.left_out, *done.notes):
         click.echo(line)

@@ -18,7 +18,7 @@ from nvsf_core.sensors.tables import SENSOR_TABLES
 
 _LONGEST_ARM_M = 100.0
 _FOUND = "found"
-_DRIVE_KEYS = ("lidar", "intensity_max", "lidar_to_pose", "notes")
+_DRIVE_KEYS = ("lidar", "intensity_max", "lidar_to_pose", "times_assumed", "notes")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +31,8 @@ class Description:
     """Intensity of the brightest returns, as 255."""
     lidar_to_pose: np.ndarray
     """(4, 4) LiDAR to the frame that `poses.csv` speaks of."""
+    times_assumed: str = ""
+    """Why the frames' times are assumed ones, in words; empty = they are recorded."""
 
 
 def read_description(path: Path) -> Description:
@@ -53,9 +55,13 @@ def read_description(path: Path) -> Description:
     brightest = raw.get("intensity_max", 1.0)
     if not isinstance(brightest, int | float) or isinstance(brightest, bool) or not 0.0 < brightest < 1e9:
         raise CalibrationError(f"{path}: intensity_max: expected a number above 0, found {brightest!r:.60}")
+    assumed = raw.get("times_assumed", "")
+    if not isinstance(assumed, str):
+        raise CalibrationError(f"{path}: times_assumed: expected why, in words, found {assumed!r:.60}")
     return Description(
         lidar="" if lidar == _FOUND else lidar, intensity_max=float(brightest),
         lidar_to_pose=_mounting(raw, "lidar_to_pose", str(path), np.eye(4)),
+        times_assumed=assumed,
     )  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 """A drive as a folder of plain files (docs/drives.md): for every recording that has no reader of its own."""
 
+from dataclasses import replace
 from functools import cached_property
 from os.path import lexists
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 from nvsf_core.drives.drive import Boxes, DriveFacts, Recorded
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.calibration import Calibration
-from nvsf_core.drives.kitti360.frames import NOMINAL_PERIOD_S
+from nvsf_core.drives.kitti360.frames import NOMINAL_PERIOD_S, FrameTimes
 from nvsf_core.drives.kitti360.images import decode_picture, read_image_bytes
 from nvsf_core.drives.kitti360.scans import MAX_ABSURD_SHARE, MOST_RETURNS, Scan, usable_scan
 from nvsf_core.drives.kitti360.text import read_bytes
@@ -136,6 +137,14 @@ class PlainDrive(AbstractPosedDrive):
                 "frame and time_s, found neither: which scan was taken when is not known"
             )
         return dict(zip(frames.tolist(), path.time_s.tolist(), strict=True))
+
+    def times(self) -> FrameTimes:
+        """As their table says; assumed where there is none, and where an import had none to write."""
+        times, layout = super().times(), self.layout
+        assumed = self._description.times_assumed
+        if not assumed and not lexists(layout.frames_path) and not lexists(layout.poses_path):
+            assumed = f"assumed {times.sweep_period_s:g} s a frame: neither frames.csv nor poses.csv"
+        return replace(times, is_assumed=True, source=assumed) if assumed else times
 
     @property
     def times_source(self) -> str:

@@ -17,9 +17,12 @@ from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
 
 
-def write_description(layout: PlainLayout, lidar: str, notes: Sequence[str] = ()) -> None:
-    """Write `drive.json`: the LiDAR's name (empty = to be found), and what was assumed."""
-    _write_json(layout.drive_path, {"lidar": lidar or "found", "notes": list(notes)})
+def write_description(
+    layout: PlainLayout, lidar: str, notes: Sequence[str] = (), times_assumed: str = ""
+) -> None:
+    """Write `drive.json`: the LiDAR's name (empty = to be found), what was assumed, and why times are."""
+    assumed = {"times_assumed": times_assumed} if times_assumed else {}
+    _write_json(layout.drive_path, {"lidar": lidar or "found", **assumed, "notes": list(notes)})
 
 
 def write_poses(

@@ -108,6 +108,7 @@ def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[s
     left_out += [f"box: {words}" for words in boxes.left_out]
     target.finish(boxes.boxes)
     left_out += target.left_out
+    notes += [f"times: {facts.times.source}"] if facts.times.is_assumed else []
     notes += [*facts.calibration.notes, *facts.notes, *boxes.notes, *target.notes, *_held_out(scene)[1]]
     done = Imported(
         folder=folder, scans=scans, images=images, frames=len(facts.poses), left_out=tuple(left_out),

@@ -85,16 +85,23 @@ class Kitti360Target(AbstractTarget):
         write_frame_poses(layout.poses_path, posed, poses, rows=3)
         if "image_00" in cameras:
             write_frame_poses(layout.cam0_to_world_path, posed, poses @ cameras["image_00"].to_pose, rows=4)
-        sweep_s, first = facts.times.sweep_period_s, self.scene.first_frame
+        self._write_times()
+        self._write_boxes(boxes)
+        self.left_out += self._losses()
+        self.notes += self._renames()
+
+    def _write_times(self) -> None:
+        """Write the timestamps; assumed ones are not written: a tree without them says so."""
+        facts, first = self.facts, self.scene.first_frame
+        if facts.times.is_assumed:
+            return
+        sweep_s = facts.times.sweep_period_s
         # A line a frame from frame 0, also before the section; readers take a cut drive's own lines, too.
         before = first if first <= MOST_LINES_BEFORE else 0
         own_s = first * sweep_s + facts.times.time_s
         stamps = np.concatenate([sweep_s * np.arange(before), own_s])
         # Scans of one instant begin when they end: so they are known when the tree is read.
-        write_times(layout, (), stamps, sweep_s if self.scene.is_to_compensate else 0.0)
-        self._write_boxes(boxes)
-        self.left_out += self._losses()
-        self.notes += self._renames()
+        write_times(self._layout, (), stamps, sweep_s if self.scene.is_to_compensate else 0.0)
         if before < first:
             self.notes.append(
                 f"timestamps have lines of frames {first} to {self.scene.last_frame} alone, none for "

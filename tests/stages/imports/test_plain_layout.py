@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nvsf_core.demo.drive import DemoSize, write_demo
 from nvsf_core.drives.catalogue import load_catalogue
 from nvsf_core.drives.detect import whole_drive
 from nvsf_core.drives.drive import drive_of
@@ -87,3 +88,25 @@ def test_of_a_short_drive_the_middle_frame_is_held_out_and_said(tmp_path, last, 
     done = import_drive(scene, tmp_path / "out", progress=lambda line: None)
     (entry,) = load_catalogue([tmp_path / "out/scenes.toml"], None)
     assert entry.test_frames == test and any(words in note for note in done.notes), done.notes
+
+
+@pytest.mark.parametrize("layout", ["plain", "kitti360"])
+def test_assumed_times_stay_assumed_and_a_given_sweep_spaces_them(tmp_path, layout):
+    write_demo(tmp_path / "in", size=DemoSize.tiny())
+    for path in (tmp_path / "in").glob("data_*/**/timestamps*.txt"):
+        path.unlink()
+    scene = replace(whole_drive(tmp_path / "in", "kitti360"), sweep_period_s=0.05)
+    assert drive_of(scene).times().is_assumed
+    done = import_drive(scene, tmp_path / "out", layout=layout, progress=lambda line: None)
+    assert "times: assumed 0.05 s a frame: no timestamp file" in done.notes
+    (entry,) = load_catalogue([tmp_path / "out/scenes.toml"], None)
+    times = drive_of(entry).times()
+    assert times.is_assumed and times.source == "assumed 0.05 s a frame: no timestamp file"
+    assert times.sweep_period_s == 0.05 and np.allclose(np.diff(times.time_s), 0.05)
+
+
+def test_recorded_times_are_not_assumed_after_an_import(tmp_path):
+    path_s = BEGIN_S + STEP_S * np.arange(FRAMES)
+    scene = _write(tmp_path / "in", path_s, range(FRAMES), None)
+    import_drive(scene, tmp_path / "out", progress=lambda line: None)
+    assert not drive_of(whole_drive(tmp_path / "out", "plain")).times().is_assumed
