@@ -6,6 +6,7 @@ y down, z forward. A frame's time is the instant of its pose.
 
 import importlib
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +32,15 @@ _READERS = {
 }
 """The class of each `kind` of scene, one folder a format. Imported when a drive is read: images are decoded
 by a library that takes long to load."""
+
+_OWN_FOLDERS = {
+    "kitti360": ("calibration", "data_2d_raw", "data_3d_raw", "data_3d_bboxes", "data_poses"),
+    "plain": ("scans", "images", "ring", "time"),
+    "kitti_odometry": ("sequences", "poses"),
+    "kitti_raw": ("",),
+    "bag": ("",),
+}
+"""Folders of a drive's root, by its kind, in which no outputs may lie; the root itself where it is empty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,6 +279,24 @@ def has_data(scene: SceneEntry) -> bool:
             f"scene {scene.name}: cannot look into {error.filename or scene.root} ({error.strerror}); "
             "correct its root, or its permissions"
         ) from error
+
+
+def own_folders(scene: SceneEntry) -> list[Path]:
+    """Folders of a scene's drive in which nothing may be written; the root itself where it is one drive's."""
+    return [scene.root / name for name in _OWN_FOLDERS[scene.kind]]
+
+
+def require_outside(place: Path, folders: Sequence[Path]) -> None:
+    """Refuse a folder to make that would lie in a recorded drive's.
+
+    Raises:
+        DataError: It lies in one of them, or is one.
+    """
+    for own in folders:
+        if place.resolve().is_relative_to(own.resolve()):
+            raise DataError(
+                f"{place}: expected a folder outside of the drive, found it in {own}; name another"
+            )
 
 
 def why_no_data(scene: SceneEntry) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 from nvsf_core.drives.catalogue import SceneEntry, home_from_environment, sensors_from_environment
 from nvsf_core.drives.catalogue_views import read_view
+from nvsf_core.drives.drive import own_folders, require_outside
 from nvsf_core.drives.view_entry import ViewEntry
 from nvsf_core.errors import DataError
 from nvsf_core.recipe.base import Recipe
@@ -87,7 +88,8 @@ def render_view(
         The folder of the data set, with its `manifest.json` and its card.
 
     Raises:
-        DataError: The view asks for what is impossible, or `out` is taken; found before anything is trained.
+        DataError: The view asks for what is impossible, or `out` is taken or in the drive; found before
+            anything is trained.
         NvsfError: A stage failed.
     """
     entry = find_scene(scene) if isinstance(scene, str) else scene
@@ -97,6 +99,8 @@ def render_view(
     target = None if out is None else Path(out)
     if target is not None and target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise DataError(f"out: expected no {target}, or an empty folder, found one with files; name another")
+    if target is not None:
+        require_outside(target, own_folders(entry))
     run = plan_run(
         replace(entry, views=(asked,)), place, recipe=recipe, seed=seed, draw_seed=draw_seed
     )  # fmt: skip

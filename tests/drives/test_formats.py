@@ -249,6 +249,11 @@ def test_an_import_never_overwrites_and_leaves_nothing_half_written(plain, tmp_p
     with pytest.raises(DataError, match="taken"):
         import_drive(scene_at(plain, "plain"), tmp_path / "taken", progress=_silent)
     shutil.copytree(plain, tmp_path / "none")
+    for inside in ("within", "scans/within", "."):
+        place = tmp_path / "none" / inside
+        with pytest.raises(DataError, match=r"outside of the drive, found it in|taken"):
+            import_drive(scene_at(tmp_path / "none", "plain"), place, progress=_silent)
+        assert inside == "." or not place.exists()
     for path in (*tmp_path.glob("none/scans/*"), *tmp_path.glob("none/images/*/*")):
         path.write_bytes(b"")
     with pytest.raises(DataError, match=r"expected a scan or an image that can be used.*scan 0"):

@@ -189,6 +189,9 @@ def test_a_data_set_written_as_a_drive_is_trained_again(run: Run, tmp_path: Path
     assert depth.dtype == np.uint16 and depth.size == manifest["images"][0]["pixels"] and depth.any()
     with pytest.raises(DataError, match=r"expected no .*made, or an empty folder"):
         render_view(run.plan.scene, {}, run.plan.store.home, out=folder, progress=lambda line: None)
+    inside = run.plan.scene.root / "data_3d_raw/made"
+    with pytest.raises(DataError, match=r"outside of the drive, found it in .*data_3d_raw"):
+        render_view(run.plan.scene, {}, run.plan.store.home, out=inside, progress=lambda line: None)
 
 
 def test_a_view_without_any_return_is_said_to_be_empty(run: Run, tmp_path: Path) -> None:

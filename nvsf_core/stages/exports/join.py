@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from nvsf_core.drives.drive import own_folders, require_outside
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.writer import read_numbers, write_grey
 from nvsf_core.errors import DataError
@@ -59,10 +60,11 @@ def join_data_sets(
 
     Raises:
         DataError: The data sets are not of one recipe, seed and view, are not of recorded frames, or `out`
-            is taken.
+            is taken, or in the drive.
     """
     if out.exists():
         raise DataError(f"{out}: expected a folder to be made, found one that is there; name another")
+    require_outside(out, [own for part, _ in parts for own in own_folders(part)])
     asked = [(*one, folder) for one, folder in zip(parts, folders, strict=True) if folder is not None]
     manifests = _manifests_of_one_view(asked)
     without = [part.name for (part, _), folder in zip(parts, folders, strict=True) if folder is None]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nvsf_core.drives.drive import AbstractDrive, DriveFacts, drive_of
+from nvsf_core.drives.drive import AbstractDrive, DriveFacts, drive_of, require_outside
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kinds import MOST_FRAMES
 from nvsf_core.drives.posed import AbstractPosedDrive
@@ -60,13 +60,14 @@ def import_drive(
         progress: Receives progress lines.
 
     Raises:
-        DataError: The drive cannot be read, nothing of it can be used, or `out` is taken.
+        DataError: The drive cannot be read, nothing of it can be used, or `out` is taken or in the drive.
         MissingLibraryError: Poses are to be found and KISS-ICP is not installed.
     """
     if layout not in TARGETS:
         raise DataError(f"layout: expected one of {', '.join(TARGETS)}, found {layout!r:.60}")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise DataError(f"{out}: expected a folder to be made, found one that is taken; name another")
+    require_outside(out, [scene.root])
     if len(range(scene.first_frame, scene.last_frame + 1)) > MOST_FRAMES:
         raise DataError(f"expected at most {MOST_FRAMES:,} frames; name a part (--first, --last)")
     try:

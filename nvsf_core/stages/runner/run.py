@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nvsf_core.drives.catalogue import SceneEntry, catalogue_from_environment, home_from_environment
-from nvsf_core.drives.drive import has_data
+from nvsf_core.drives.drive import has_data, own_folders
 from nvsf_core.drives.view_checks import require_views
 from nvsf_core.drives.view_truth import require_truth
 from nvsf_core.errors import DataError, NvsfError, StoreError
@@ -93,21 +93,10 @@ def plan_run(
     return SceneRun(scene=scene, store=SceneStore(home=home, scene=scene.name), config=config)
 
 
-_OWN_FOLDERS = {
-    "kitti360": ("calibration", "data_2d_raw", "data_3d_raw", "data_3d_bboxes", "data_poses"),
-    "plain": ("scans", "images", "ring", "time"),
-    "kitti_odometry": ("sequences", "poses"),
-    "kitti_raw": ("",),
-    "bag": ("",),
-}
-"""Folders of a drive's root, by its kind, in which no outputs may lie; the root itself where it is empty."""
-
-
 def _require_apart(scene: SceneEntry, home: Path) -> None:
     """Refuse outputs inside the recorded drive, and a drive among its scene's outputs, which are replaced."""
     outputs = home / scene.name
-    for kind in _OWN_FOLDERS[scene.kind]:
-        own = scene.root / kind
+    for own in own_folders(scene):
         if home.is_relative_to(own.resolve()):
             raise StoreError(f"NVSF_HOME={home} lies in the drive's own folder {own}; choose another")
         if outputs.is_relative_to(own.resolve()) or own.resolve().is_relative_to(outputs):
