@@ -29,6 +29,8 @@ from nvsf_core.errors import DataError
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.stores.writers import leftovers, temporary_of
 
+_START_S = 1_369_728_000.0
+"""2013-05-28 08:00:00, the date in the sequence's name, in seconds from 1970-01-01."""
 DEMO_SEQUENCE = "2013_05_28_drive_9900_sync"
 """A number that KITTI-360 does not have."""
 
@@ -115,7 +117,7 @@ def write_demo(
         cam0_to_lidar = invert_pose(LIDAR_TO_POSE) @ cameras[0].camera_to_pose
         write_calibration(layout, {camera.name: camera.model for camera in cameras}, to_pose, cam0_to_lidar)
         _write_poses(layout, world, cameras[0], size.frames)
-        write_times(layout, to_pose, np.arange(size.frames) * FRAME_PERIOD_S, FRAME_PERIOD_S)
+        write_times(layout, to_pose, np.arange(size.frames) * FRAME_PERIOD_S, FRAME_PERIOD_S, _START_S)
         write_boxes(layout.boxes_path("train"), _boxes(world, size.frames), 0, size.frames - 1)
         _write_frames(layout, world, cameras, size, progress)
         part.rename(root)

@@ -14,6 +14,7 @@ import numpy as np
 from nvsf_core.drives.drive import AbstractDrive, DriveFacts, Recorded
 from nvsf_core.drives.kitti360.calibration import Calibration
 from nvsf_core.drives.kitti360.frames import (
+    FIRST_DATE_S,
     NOMINAL_PERIOD_S,
     UNLIKE,
     FrameTimes,
@@ -119,6 +120,13 @@ class AbstractPosedDrive(AbstractDrive):
     def image_seconds(self, camera: str) -> dict[int, float]:
         """Time of each image of a camera, by frame; empty = the frames' own, as they are recorded."""
         return {}
+
+    def clock_zero_s(self) -> float | None:
+        """Seconds from 1970-01-01 to 0 s of the drive's clock; None = not known.
+
+        By default a clock whose frames would then be after the year 2000 counts from 1970.
+        """
+        return 0.0 if min(self._seconds.values(), default=0.0) >= FIRST_DATE_S else None
 
     @property
     def times_source(self) -> str:
@@ -258,11 +266,21 @@ class AbstractPosedDrive(AbstractDrive):
                 f"scans are stamped {1000.0 * self.stamp_shift_s:.1f} ms before the middle of their sweep: "
                 "poses are those of the middle"
             )
+        times = replace(times, origin_s=self._origin_s())
         named = self.scene.lidar or self.recorded_sensor()
         return DriveFacts(
             calibration=self.calibration(), poses=poses, poses_place=path.place, times=times,
             has_scans=self.has_scans(), sensor="" if named == "found" else named, notes=tuple(notes),
         )  # fmt: skip
+
+    def _origin_s(self) -> float | None:
+        """Seconds from 1970-01-01 to the first frame's instant; None = not known."""
+        zero_s, times = self.clock_zero_s(), self.times()
+        known = next((frame for frame in self.frames if frame in self._seconds), None)
+        if zero_s is None or known is None or times.is_assumed:
+            return None
+        later_s = float(times.time_s[known - self.frames[0]])
+        return zero_s + self._seconds[known] + self.stamp_shift_s - later_s
 
     def _lost_poses(self, lost_s: list[float], found: int) -> list[str]:
         """A note on frames at whose instants, in seconds, the path has no pose, next to so many that have.

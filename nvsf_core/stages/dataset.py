@@ -30,6 +30,7 @@ from nvsf_core.stages.exports.manifest import (
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import finish_data_set, rewrite_manifest, write_data_set
 from nvsf_core.stages.flow import DATASET, FIELD, NOVEL_VIEWS, SCENE_METRICS
+from nvsf_core.stages.inputs import clock_origin_s
 from nvsf_core.stages.runner.facts import view_facts
 from nvsf_core.stages.runner.host import code_commit
 from nvsf_core.stages.runner.record import content_of, read_record
@@ -116,7 +117,7 @@ def run(task: Task) -> StageOutput:
             with task.store.publish(location) as folder:
                 rendered_view = RenderedView(
                     scene=task.scene.name, sequence=task.scene.sequence, entry=view, config=task.config,
-                    arrays=arrays, attrs=attrs,
+                    arrays=arrays, attrs=attrs, origin_s=clock_origin_s(task.store),
                 )  # fmt: skip
                 manifest = {
                     **identity_of(task, view, version),

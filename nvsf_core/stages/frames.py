@@ -70,6 +70,8 @@ def _write(folder: Path, drive: Drive) -> None:
         },
         "notes": list(drive.notes),
     }
+    if drive.times.origin_s is not None:
+        facts["clock_origin_s"] = round(drive.times.origin_s, 6)
     if drive.sensor != HDL_64E.name:  # KITTI's own needs no word
         facts["sensor"] = drive.sensor
     (folder / "drive.json").write_text(json.dumps(facts, indent=1))

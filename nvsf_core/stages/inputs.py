@@ -55,6 +55,12 @@ def scene_frame(facts: Mapping[str, Any]) -> np.ndarray:
     return numbers.reshape(4, 4)
 
 
+def clock_origin_s(store: SceneStore) -> float | None:
+    """Seconds from 1970-01-01 to 0 s of the scene, its first frame; None = the drive has no date."""
+    found = read_document(store.require("frames") / "drive.json").get("clock_origin_s")
+    return None if found is None else float(found)
+
+
 def pinhole_of(facts: Mapping[str, Any]) -> Pinhole:
     """The camera of stored `fx`, `fy`, `cx`, `cy`, `width` and `height`, all in pixels."""
     fx, fy, cx, cy = (float(facts[key]) for key in ("fx", "fy", "cx", "cy"))

@@ -17,7 +17,7 @@ from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.write import finish_data_set, write_data_set
 from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.flow import FIELD
-from nvsf_core.stages.inputs import read_recording
+from nvsf_core.stages.inputs import clock_origin_s, read_recording
 from nvsf_core.stages.kept_versions import keep_newest
 from nvsf_core.stages.novel_views import asks_images, render_view_arrays, with_images
 from nvsf_core.stages.runner.locks import LOCKS, file_lock, output_locks
@@ -157,7 +157,7 @@ def _write(run: SceneRun, asked: ViewEntry, folder: Path, say: Progress) -> None
     arrays |= instances
     rendered = RenderedView(
         scene=run.scene.name, sequence=run.scene.sequence, entry=asked, config=run.config, arrays=arrays,
-        attrs=attrs,
+        attrs=attrs, origin_s=clock_origin_s(run.store),
     )  # fmt: skip
     sources = source_checksums(task)
     manifest = {

@@ -91,6 +91,7 @@ def _task(tmp_path: Path, draw_seed: int = 0, exports: tuple[str, ...] = ("bin",
             write_table(folder / "frames.parquet", {"frame": [1, 2], "checksum": ["aa", "bb"]})
             columns = {"frame": [1, 2], "camera": ["image_00"] * 2, "checksum": ["cc", None]}
             write_table(folder / "cameras.parquet", columns)
+            (folder / "drive.json").write_text(json.dumps({"clock_origin_s": 1.75e9}))
         with store.publish("evidence") as folder:
             write_table(folder / "moving.parquet", {"object_id": [], "time_s": [], "box_to_world": []})
         _write_view(store, "test", [2], _grid(1))
@@ -130,6 +131,12 @@ def test_every_view_becomes_a_data_set_that_reads_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scan, np.column_stack([points_m, intensity]))
     assert (folders["test"] / "image_00/data_rect/0000000002.png").read_bytes().startswith(b"\x89PNG")
     assert all((tmp_path / "record" / name).is_file() for name in output.previews.values())
+
+
+def test_exports_are_on_the_recordings_own_clock(tmp_path: Path) -> None:
+    _, folders = _run(_task(tmp_path, exports=("kitti360",)))
+    (path,) = folders["shift_1m"].glob("kitti360/data_3d_raw/*/velodyne_points/timestamps.txt")
+    assert path.read_text().splitlines()[1].startswith("2025-06-15 15:06:40.0000")
 
 
 def _lasers_of(scan: np.ndarray) -> np.ndarray:

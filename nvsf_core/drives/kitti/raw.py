@@ -11,7 +11,7 @@ from nvsf_core.drives.kitti.files import AbstractKittiDrive, camera_of_projectio
 from nvsf_core.drives.kitti.poses import oxts_poses, read_oxts
 from nvsf_core.drives.kitti.tracklets import read_tracklets
 from nvsf_core.drives.kitti360.calibration import Calibration
-from nvsf_core.drives.kitti360.frames import read_timestamps
+from nvsf_core.drives.kitti360.frames import read_timestamps, seconds_since_1970
 from nvsf_core.drives.kitti360.text import KeyedText, rigid, rotation
 from nvsf_core.drives.plain.layout import numbered_files
 from nvsf_core.drives.posed import PosePath, require_ascending
@@ -92,6 +92,10 @@ class KittiRawDrive(AbstractKittiDrive):
         found = self._seconds_of("velodyne_points")
         require_ascending(np.array(list(found.values())), str(self._stamps_file("velodyne_points")))
         return found
+
+    def clock_zero_s(self) -> float:
+        """The first scan's stamp."""
+        return seconds_since_1970(self._begin)
 
     @cached_property
     def _image_seconds(self) -> dict[str, dict[int, float]]:

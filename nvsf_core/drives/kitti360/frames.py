@@ -22,6 +22,8 @@ UNLIKE = 0.1
 records all sweeps has the step's, which is measured over the whole section."""
 LONGEST_PAUSE_S = 10.0
 """Longest step within a section; after a longer one it is another recording, or the unit is wrong."""
+FIRST_DATE_S = 946_684_800.0
+"""Seconds from 1970-01-01 to 2000-01-01; what is earlier is no date of a recording."""
 MOST_TIMESTAMP_BYTES = 64 * MIB
 _MOST_LINES, _MOST_POSE_BYTES = 100_000, 32 * MIB
 """The longest drive of KITTI-360 has 15,000 frames, in 4 MB."""
@@ -45,6 +47,8 @@ class FrameTimes:
     """The file, or why none was used."""
     is_refused: bool = False
     """True if there are recorded times that cannot be used."""
+    origin_s: float | None = None
+    """Seconds from 1970-01-01 to the first frame, on the recording's own clock; None = not known."""
 
 
 def frame_times(
@@ -90,7 +94,11 @@ def frame_times(
     sweep_s = given_period_s
     if sweep_s is None and path == layout.timestamps_path():
         sweep_s = _recorded_sweep_s(layout, len(stamps), lines)
-    return replace(times, sweep_period_s=sweep_of(sweep_s, times.sweep_period_s))
+    origin_s = seconds_since_1970(section[0])
+    return replace(
+        times, sweep_period_s=sweep_of(sweep_s, times.sweep_period_s),
+        origin_s=origin_s if origin_s >= FIRST_DATE_S else None,
+    )  # fmt: skip
 
 
 def sweep_of(known_s: float | None, step_s: float) -> float:
@@ -163,6 +171,11 @@ def read_timestamps(path: Path) -> np.ndarray:
                 f"{line[:_LONGEST_SHOWN]!r}; restore the file, or remove it: {_WITHOUT}"
             ) from error
     return stamps
+
+
+def seconds_since_1970(stamp: np.datetime64) -> float:
+    """A time of `read_timestamps` as seconds from 1970-01-01; files have no time zone."""
+    return float((stamp - np.datetime64(0, "s")) / np.timedelta64(1, "s"))
 
 
 def _instant(text: str) -> np.datetime64:

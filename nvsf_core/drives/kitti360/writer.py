@@ -25,8 +25,8 @@ _CUBE_FACES = "0 1 3 0 3 2 5 4 6 5 6 7 0 5 4 0 4 1 2 3 6 2 6 7 0 2 7 0 7 5 1 4 6
 MOST_LINES_BEFORE = 100_000
 """Of timestamps, for frames before a section: several times those of KITTI-360's longest drive. Of a section
 that begins later only its own lines are written, as of a drive that was cut out of a longer one."""
-START = datetime.fromisoformat("2013-05-28 08:00:00")
-"""Date of a written drive's second 0: the layout needs one. Without a time zone, as KITTI-360's files are."""
+UNDATED_S = 3600.0
+"""Second 0 of a written drive of no known date, from 1970-01-01: formats need one, and none before 1970."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,12 +134,27 @@ def write_calibration(
     write_text(layout.cam_to_velo_path, _numbers(cam0_to_lidar[:3]) + "\n")
 
 
-def write_times(layout: DriveLayout, cameras: Iterable[str], time_s: np.ndarray, sweep_s: float) -> None:
-    """Write the times (n,) of the frames from frame 0, of the scans' begins and ends, and of the cameras."""
+def write_times(
+    layout: DriveLayout,
+    cameras: Iterable[str],
+    time_s: np.ndarray,
+    sweep_s: float,
+    origin_s: float | None,
+) -> None:
+    """Write the times of the frames from frame 0, of the scans' begins and ends, and of the cameras.
+
+    Args:
+        layout: Where.
+        cameras: Those that have images.
+        time_s: (n,) seconds of the frames.
+        sweep_s: Duration of a sweep; 0 = scans are of one instant.
+        origin_s: Seconds from 1970-01-01 to second 0; None = not known. The files have no time zone.
+    """
+    start = datetime(1970, 1, 1) + timedelta(seconds=UNDATED_S if origin_s is None else origin_s)
     for kind, shift_s in (("", 0.0), ("start", -0.5 * sweep_s), ("end", 0.5 * sweep_s)):
-        write_timestamps(layout.timestamps_path(kind), START, (time_s + shift_s).tolist())
+        write_timestamps(layout.timestamps_path(kind), start, (time_s + shift_s).tolist())
     for camera in cameras:
-        write_timestamps(layout.camera_timestamps_path(camera), START, time_s.tolist())
+        write_timestamps(layout.camera_timestamps_path(camera), start, time_s.tolist())
 
 
 def write_frame_poses(path: Path, frames: Sequence[int], poses: np.ndarray, rows: int) -> None:

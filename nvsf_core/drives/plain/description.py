@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from nvsf_core.drives.kinds import is_number
 from nvsf_core.drives.kitti360.calibration import Calibration, CameraCalibration
 from nvsf_core.drives.kitti360.text import read_calibration_text, rigid
 from nvsf_core.drives.lenses import Lens, lens_of
@@ -17,8 +18,10 @@ from nvsf_core.errors import CalibrationError
 from nvsf_core.sensors.tables import SENSOR_TABLES
 
 _LONGEST_ARM_M = 100.0
+_LATEST_S = 1e10
+"""Seconds from 1970 to the year 2286; larger numbers are of another unit."""
 _FOUND = "found"
-_DRIVE_KEYS = ("lidar", "intensity_max", "lidar_to_pose", "times_assumed", "notes")
+_DRIVE_KEYS = ("lidar", "intensity_max", "lidar_to_pose", "times_assumed", "clock_origin_s", "notes")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +36,8 @@ class Description:
     """(4, 4) LiDAR to the frame that `poses.csv` speaks of."""
     times_assumed: str = ""
     """Why the frames' times are assumed ones, in words; empty = they are recorded."""
+    clock_origin_s: float | None = None
+    """Seconds from 1970-01-01 to 0 s of the tables' times; None = not known."""
 
 
 def read_description(path: Path) -> Description:
@@ -53,15 +58,21 @@ def read_description(path: Path) -> Description:
             f"{path}: lidar: expected {_FOUND!r} or one of {', '.join(SENSOR_TABLES)}, found {lidar!r:.60}"
         )
     brightest = raw.get("intensity_max", 1.0)
-    if not isinstance(brightest, int | float) or isinstance(brightest, bool) or not 0.0 < brightest < 1e9:
+    if not is_number(brightest) or not 0.0 < brightest < 1e9:
         raise CalibrationError(f"{path}: intensity_max: expected a number above 0, found {brightest!r:.60}")
     assumed = raw.get("times_assumed", "")
     if not isinstance(assumed, str):
         raise CalibrationError(f"{path}: times_assumed: expected why, in words, found {assumed!r:.60}")
+    origin_s = raw.get("clock_origin_s")
+    if origin_s is not None and not (is_number(origin_s) and abs(origin_s) < _LATEST_S):
+        raise CalibrationError(
+            f"{path}: clock_origin_s: expected seconds from 1970-01-01 to 0 s of the tables, found "
+            f"{origin_s!r:.60}"
+        )
     return Description(
         lidar="" if lidar == _FOUND else lidar, intensity_max=float(brightest),
         lidar_to_pose=_mounting(raw, "lidar_to_pose", str(path), np.eye(4)),
-        times_assumed=assumed,
+        times_assumed=assumed, clock_origin_s=None if origin_s is None else float(origin_s),
     )  # fmt: skip
 
 

@@ -146,6 +146,11 @@ class PlainDrive(AbstractPosedDrive):
             assumed = f"assumed {times.sweep_period_s:g} s a frame: neither frames.csv nor poses.csv"
         return replace(times, is_assumed=True, source=assumed) if assumed else times
 
+    def clock_zero_s(self) -> float | None:
+        """`clock_origin_s` of `drive.json`, else see the base class."""
+        given_s = self._description.clock_origin_s
+        return super().clock_zero_s() if given_s is None else given_s
+
     @property
     def times_source(self) -> str:
         """`frames.csv` or `poses.csv`."""

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nvsf_core.drives.kitti360.boxes import Box
+from nvsf_core.drives.kitti360.frames import FrameTimes
 from nvsf_core.drives.kitti360.scans import Scan, write_column, write_scan
 from nvsf_core.drives.kitti360.writer import write_image, write_text
 from nvsf_core.drives.plain.layout import PlainLayout
@@ -18,11 +19,15 @@ from nvsf_core.geometry.pinhole import Pinhole
 
 
 def write_description(
-    layout: PlainLayout, lidar: str, notes: Sequence[str] = (), times_assumed: str = ""
+    layout: PlainLayout, lidar: str, notes: Sequence[str] = (), times: FrameTimes | None = None
 ) -> None:
-    """Write `drive.json`: the LiDAR's name (empty = to be found), what was assumed, and why times are."""
-    assumed = {"times_assumed": times_assumed} if times_assumed else {}
-    _write_json(layout.drive_path, {"lidar": lidar or "found", **assumed, "notes": list(notes)})
+    """Write `drive.json`: the LiDAR's name (empty = to be found), what was assumed, and what its clock is."""
+    clock: dict[str, Any] = {}
+    if times is not None and times.is_assumed:
+        clock["times_assumed"] = times.source
+    if times is not None and times.origin_s is not None:
+        clock["clock_origin_s"] = round(times.origin_s, 6)
+    _write_json(layout.drive_path, {"lidar": lidar or "found", **clock, "notes": list(notes)})
 
 
 def write_poses(

@@ -16,6 +16,7 @@ from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.scans import write_column, write_scan
 from nvsf_core.drives.kitti360.writer import (
     MOST_LINES_BEFORE,
+    UNDATED_S,
     write_boxes,
     write_calibration,
     write_frame_poses,
@@ -53,8 +54,10 @@ def write_kitti360(folder: Path, data: DataSet) -> None:
     if "image_00" in cameras:
         camera_to_world = data.lidar_to_world @ cameras["image_00"].in_lidar
         write_frame_poses(layout.cam0_to_world_path, data.numbers, camera_to_world, rows=4)
-    stamps = _stamps_from_0(data.numbers, data.stamp_s, data.sweep_period_s)
-    write_times(layout, cameras, stamps, data.sweep_period_s)
+    stamps, begin_s = _stamps_from_0(data.numbers, data.stamp_s, data.sweep_period_s)
+    # Without a date frame 0 is of its first hour: readers take no year before 1970.
+    origin_s = data.origin_s if data.origin_s == UNDATED_S else data.origin_s + begin_s
+    write_times(layout, cameras, stamps, data.sweep_period_s, origin_s)
     boxes = [data.boxes(index) for index in range(len(data.numbers))]
     objects = object_numbers({one.object_id: one.label for there in boxes for one in there})
     write_boxes(layout.boxes_path("train"), _written(data, boxes, objects), data.numbers[0], data.numbers[-1])
@@ -85,16 +88,18 @@ def _write_calibration(layout: DriveLayout, cameras: dict[str, CameraRecord]) ->
     write_calibration(layout, models, to_pose, in_lidar["image_00"])
 
 
-def _stamps_from_0(numbers: Sequence[int], stamp_s: np.ndarray, period_s: float) -> np.ndarray:
-    """Seconds of the frames 0 to the last; those that the data set lacks lie evenly between its own.
+def _stamps_from_0(numbers: Sequence[int], stamp_s: np.ndarray, period_s: float) -> tuple[np.ndarray, float]:
+    """Seconds of the frames 0 to the last, and where on the data set's clock they are 0, at 0 or before.
 
-    They begin with the first of the data set where too many would lie before it.
+    Frames that the data set lacks lie evenly between its own. They begin with the first of the data set where
+    too many would lie before it.
     """
     step_s = period_s if period_s > 0.0 else 0.1
     frames = np.arange(numbers[0] if numbers[0] > MOST_LINES_BEFORE else 0, max(numbers) + 1)
     found = np.interp(frames, numbers, stamp_s)
     found = np.where(frames < numbers[0], stamp_s[0] - step_s * (numbers[0] - frames), found)
-    return np.asarray(found - min(0.0, float(found[0])))
+    begin_s = min(0.0, float(found[0]))
+    return np.asarray(found - begin_s), begin_s
 
 
 def object_numbers(objects: Mapping[int, str]) -> dict[int, int]:

@@ -24,7 +24,6 @@ from nvsf_core.geometry.boxes import inside_any
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.stages.exports.camera_places import pinholes_of
 from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet, ScanRecord
-from nvsf_core.stages.exports.ros import EPOCH_S
 
 FOLDER, VERSION = "nuscenes", "v1.0-nvsf"
 LIDAR = "LIDAR_TOP"
@@ -94,16 +93,19 @@ class _Tables:
             matrix = np.asarray(camera.model.matrix).tolist()
             self._add_sensor(channel, "camera", camera.in_lidar, matrix)
         for index, stamp_s in enumerate(data.stamp_s.tolist()):
-            self._add_sample(index, _microseconds(stamp_s))
+            self._add_sample(index, self._microseconds(stamp_s))
 
     def _token(self, *parts: object) -> str:
         """The token of what the parts name: the same in each run."""
         words = "/".join(map(str, (self._data.sequence, self._data.name, *parts)))
         return hashlib.sha256(words.encode()).hexdigest()[:32]
 
+    def _microseconds(self, stamp_s: float) -> int:
+        return round(self._data.origin_s * 1e6) + round(stamp_s * 1e6)
+
     def _add_log(self) -> None:
         data, token = self._data, self._token("log")
-        date = datetime.fromtimestamp(EPOCH_S, UTC).strftime("%Y-%m-%d")
+        date = datetime.fromtimestamp(data.origin_s, UTC).strftime("%Y-%m-%d")
         self.rows["log"].append(
             {"token": token, "logfile": data.sequence, "vehicle": "synthetic", "date_captured": date,
              "location": data.sequence}
@@ -154,7 +156,7 @@ class _Tables:
 
     def add_data(self, channel: str, index: int, kind: str) -> str:
         """Add a row of `sample_data`; returns the path of its file below the root."""
-        time_us = _microseconds(float(self._data.stamp_s[index]))
+        time_us = self._microseconds(float(self._data.stamp_s[index]))
         ending = "pcd.bin" if kind == "pcd" else kind
         file = f"samples/{channel}/{self._data.name}__{channel}__{time_us}.{ending}"
         model = next(
@@ -239,7 +241,3 @@ def _upright(box_to_world: np.ndarray) -> tuple[list[float], list[float], list[f
         axes = axes * [1.0, -1.0, 1.0]
     length_m, width_m, height_m = edges_m.tolist()
     return box_to_world[:3, 3].tolist(), [width_m, length_m, height_m], _quaternion(axes)
-
-
-def _microseconds(stamp_s: float) -> int:
-    return EPOCH_S * 1_000_000 + round(stamp_s * 1e6)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from nvsf_core.drives.kitti360.writer import UNDATED_S
 from nvsf_core.drives.view_entry import MEASURED, ViewEntry
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.fisheye import MeiFisheye
@@ -31,6 +32,8 @@ class RenderedView:
     config: RunConfig
     arrays: Mapping[str, np.ndarray]
     attrs: Mapping[str, Any]
+    origin_s: float | None = None
+    """Seconds from 1970-01-01 to 0 s of the scene; None = not known."""
 
     @property
     def range_noise_m(self) -> float:
@@ -122,6 +125,7 @@ class RenderedView:
             name=self.entry.name, sequence=self.sequence, numbers=np.sort(self.numbers).tolist(),
             stamp_s=a["stamp_s"][order], lidar_to_world=a["lidar_to_world"][order],
             sweep_period_s=float(self.attrs.get("sweep_period_s", 0.0)),
+            origin_s=UNDATED_S if self.origin_s is None else self.origin_s,
             cameras={name: _camera(models[name], mounts[name]) for name in whole},
             scan=(lambda index: self.scan(int(order[index]))) if "points_m" in a else None,
             image=image, boxes=lambda index: boxes(float(a["time_s"][order[index]])),

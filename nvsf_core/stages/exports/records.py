@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nvsf_core.drives.kitti360.writer import UNDATED_S
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
 
@@ -82,6 +83,8 @@ class DataSet:
     """(n,) on the sensor's clock."""
     lidar_to_world: np.ndarray
     """(n, 4, 4)."""
+    origin_s: float = UNDATED_S
+    """Seconds from 1970-01-01 to 0 s of the sensor's clock."""
     sweep_period_s: float
     cameras: Mapping[str, CameraRecord]
     scan: Callable[[int], ScanRecord] | None

@@ -22,8 +22,6 @@ from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.stages.exports.records import CameraRecord, DataSet, ScanRecord
 
 MCAP_FOLDER, ROSBAG2_FOLDER = "mcap", "rosbag2"
-EPOCH_S = 1_369_728_000
-"""2013-05-28 08:00 UTC, as of the format `kitti360`: a bag needs a date."""
 POINT = np.dtype([
     ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4"),
     ("support", "u1"),
@@ -74,7 +72,7 @@ def _write(folder: Path, storage: str, data: DataSet) -> None:
     rosbag2 = require_rosbags()
     bag = rosbag2.Writer(folder, version=_METADATA_VERSION, storage_plugin=rosbag2.StoragePlugin[storage])
     with bag:
-        out = _Bag(bag)
+        out = _Bag(bag, data.origin_s)
         first_s = float(data.stamp_s[0])
         mounts = [("lidar", name, camera.in_lidar) for name, camera in data.cameras.items()]
         if mounts:
@@ -99,10 +97,11 @@ def _write(folder: Path, storage: str, data: DataSet) -> None:
 class _Bag:
     """Makes ROS 2 messages and writes them; one connection a topic."""
 
-    def __init__(self, bag: Any) -> None:
+    def __init__(self, bag: Any, origin_s: float) -> None:
         typesys = importlib.import_module("rosbags.typesys")
         self._store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         self._bag = bag
+        self._origin_ns = round(origin_s * 1e9)
         self._topics: dict[str, Any] = {}
 
     def write(self, topic: str, message: Any, stamp_s: float) -> None:
@@ -112,8 +111,11 @@ class _Bag:
             self._topics[topic] = self._bag.add_connection(
                 topic, kind, typestore=self._store, offered_qos_profiles=offered
             )
-        time_ns = _nanoseconds(stamp_s)
+        time_ns = self._nanoseconds(stamp_s)
         self._bag.write(self._topics[topic], time_ns, self._store.serialize_cdr(message, kind))
+
+    def _nanoseconds(self, stamp_s: float) -> int:
+        return self._origin_ns + round(stamp_s * 1e9)
 
     @staticmethod
     def _latched() -> Any:
@@ -131,7 +133,7 @@ class _Bag:
         return self._store.types[kind](**values)
 
     def _header(self, stamp_s: float, frame: str) -> Any:
-        seconds, rest = divmod(_nanoseconds(stamp_s), 1_000_000_000)
+        seconds, rest = divmod(self._nanoseconds(stamp_s), 1_000_000_000)
         stamp = self._new("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
         return self._new("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 
@@ -210,7 +212,3 @@ def points_of(scan: ScanRecord) -> np.ndarray:
         points[name] = scan.rows[:, column]
     points["ring"], points["time"], points["support"] = scan.ring, scan.offset_s, scan.support
     return points
-
-
-def _nanoseconds(stamp_s: float) -> int:
-    return EPOCH_S * 1_000_000_000 + round(stamp_s * 1e9)

@@ -172,8 +172,9 @@ def _image(
 def _write_log(folder: Path, scene: SceneEntry, layout: str, target: AbstractTarget, done: Imported) -> None:
     facts = {
         "source": str(scene.root), "kind": scene.kind, "sequence": scene.sequence, "layout": layout,
-        "frames": [scene.first_frame, scene.last_frame], "poses": done.frames, "scans": done.scans,
-        "images": done.images, "left_out": list(done.left_out), "notes": list(done.notes),
+        "frames": [scene.first_frame, scene.last_frame], "clock_origin_s": target.facts.times.origin_s,
+        "poses": done.frames, "scans": done.scans, "images": done.images, "left_out": list(done.left_out),
+        "notes": list(done.notes),
     }  # fmt: skip
     (folder / "import.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
     test, _ = _held_out(scene)

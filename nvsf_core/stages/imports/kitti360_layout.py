@@ -101,7 +101,9 @@ class Kitti360Target(AbstractTarget):
         own_s = first * sweep_s + facts.times.time_s
         stamps = np.concatenate([sweep_s * np.arange(before), own_s])
         # Scans of one instant begin when they end: so they are known when the tree is read.
-        write_times(self._layout, (), stamps, sweep_s if self.scene.is_to_compensate else 0.0)
+        known_s = facts.times.origin_s
+        origin_s = None if known_s is None else known_s - first * sweep_s
+        write_times(self._layout, (), stamps, sweep_s if self.scene.is_to_compensate else 0.0, origin_s)
         if before < first:
             self.notes.append(
                 f"timestamps have lines of frames {first} to {self.scene.last_frame} alone, none for "

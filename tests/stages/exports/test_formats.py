@@ -1,5 +1,6 @@
 """Each format, read back by another reader than its writer."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +17,14 @@ from nvsf_core.drives.kitti360.calibration import read_calibration
 from nvsf_core.drives.kitti360.frames import frame_times, read_poses
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.source import Kitti360Drive
+from nvsf_core.drives.kitti360.writer import UNDATED_S
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.se3 import invert_pose, transform_points
 from nvsf_core.stages.exports.kitti import kitti_cameras, write_kitti
 from nvsf_core.stages.exports.kitti360 import object_numbers, write_kitti360
+from nvsf_core.stages.exports.nuscenes import VERSION, write_nuscenes
 from nvsf_core.stages.exports.records import CameraRecord, DataSet
-from nvsf_core.stages.exports.ros import EPOCH_S, POINT, write_mcap, write_rosbag2
+from nvsf_core.stages.exports.ros import POINT, write_mcap, write_rosbag2
 from nvsf_core.stages.views.instances import boxes_at
 from tests.stages.exports import small_data_set as small
 
@@ -121,7 +124,7 @@ def test_mcap_holds_points_images_cameras_and_transforms(tmp_path: Path) -> None
         "/image_00/image/compressed": 3, "/image_00/depth/image": 3, "/image_00/instance/image": 3,
     }  # fmt: skip
     time_ns, cloud = found["/lidar/points"][2]
-    assert time_ns == EPOCH_S * 10**9 + 700_000_000 and cloud.header.frame_id == "lidar"
+    assert time_ns == round(UNDATED_S * 1e9) + 700_000_000 and cloud.header.frame_id == "lidar"
     kinds = {2: "u1", 4: "<u2", 7: "<f4"}
     layout = np.dtype({
         "names": [one.name for one in cloud.fields], "formats": [kinds[one.datatype] for one in cloud.fields],
@@ -145,6 +148,28 @@ def test_mcap_holds_points_images_cameras_and_transforms(tmp_path: Path) -> None
     assert np.allclose([moved.x, moved.y, moved.z], small.POSES[1][:3, 3])
 
 
+DATES = {"2025-06-15": 1.75e9, "1970-01-01": UNDATED_S}
+
+
+@pytest.mark.parametrize("date", DATES)
+def test_formats_with_dates_have_the_recordings_or_the_first_of_all(tmp_path: Path, date: str) -> None:
+    data = replace(small.data_set(), origin_s=DATES[date])
+    write_nuscenes(tmp_path, data)
+    (log,) = json.loads((tmp_path / "nuscenes" / VERSION / "log.json").read_text())
+    samples = json.loads((tmp_path / "nuscenes" / VERSION / "sample.json").read_text())
+    assert log["date_captured"] == date
+    times_s = np.array([one["timestamp"] for one in samples]) / 1e6
+    assert np.allclose(times_s, DATES[date] + small.STAMPS, atol=1e-6)
+    write_kitti360(tmp_path, data)
+    layout = DriveLayout(tmp_path / "kitti360", data.sequence)
+    assert layout.timestamps_path().read_text().startswith(date)
+    found = frame_times(layout, small.NUMBERS[0], small.NUMBERS[-1], None)
+    if DATES[date] == UNDATED_S:
+        assert found.origin_s is None
+    else:
+        assert found.origin_s == pytest.approx(DATES[date] + small.STAMPS[0], abs=1e-5)
+
+
 def test_a_rosbag2_is_read_by_any_reader_of_rosbags(tmp_path: Path) -> None:
     reading = pytest.importorskip("rosbags.highlevel", reason="rosbags is not installed")
     write_rosbag2(tmp_path, small.data_set())
@@ -160,7 +185,7 @@ def test_a_rosbag2_is_read_by_any_reader_of_rosbags(tmp_path: Path) -> None:
                 assert np.array_equal(np.column_stack([points[name] for name in "xyz"]), scan.rows[:, :3])
                 assert (points["ring"] == scan.ring).all() and (points["support"] == scan.support).all()
     assert len(stamps) == 7
-    assert stamps["/tf"] == [EPOCH_S * 10**9 + round(one * 1e9) for one in small.STAMPS]
+    assert stamps["/tf"] == [round(UNDATED_S * 1e9) + round(one * 1e9) for one in small.STAMPS]
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """A drive imported as plain files keeps its path between frames."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -110,3 +111,38 @@ def test_recorded_times_are_not_assumed_after_an_import(tmp_path):
     scene = _write(tmp_path / "in", path_s, range(FRAMES), None)
     import_drive(scene, tmp_path / "out", progress=lambda line: None)
     assert not drive_of(whole_drive(tmp_path / "out", "plain")).times().is_assumed
+
+
+def _on_clock(root: Path, begin_s: float, points_s: np.ndarray | None) -> SceneEntry:
+    """A drive without times of its images, whose first frame is of that second of a clock."""
+    path_s = STEP_S * np.arange(FRAMES)
+    scene, layout = _write(root, path_s, range(FRAMES), points_s), PlainLayout(root)
+    write_poses(layout, range(FRAMES), (begin_s + path_s).tolist(), [_place(one) for one in path_s])
+    layout.frames_path.unlink()
+    layout.image_times_path("front").unlink()
+    return scene
+
+
+CLOCKS = {"of 1970": (1.75e9, 1.75e9), "of its own": (37.2, None)}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("layout", ["plain", "kitti360"])
+def test_the_date_of_a_recording_is_kept(tmp_path, layout, clock):
+    begin_s, zero_s = CLOCKS[clock]
+    scene = _on_clock(tmp_path / "in", begin_s, None)
+    import_drive(scene, tmp_path / "out", layout=layout, progress=lambda line: None)
+    (entry,) = load_catalogue([tmp_path / "out/scenes.toml"], None)
+    expected = None if zero_s is None else pytest.approx(zero_s + 2 * STEP_S, abs=1e-5)
+    assert json.loads((tmp_path / "out/import.json").read_text())["clock_origin_s"] == expected
+    assert drive_of(entry).facts().times.origin_s == expected
+    later = drive_of(replace(entry, first_frame=4, test_frames=(5,))).facts().times.origin_s
+    assert later == (None if zero_s is None else pytest.approx(zero_s + 4 * STEP_S, abs=1e-5))
+
+
+def test_the_clock_counts_to_the_instant_of_the_first_frame(tmp_path):
+    scene = _on_clock(tmp_path / "in", 1.75e9, np.linspace(0.0, STEP_S, 200))
+    import_drive(scene, tmp_path / "out", progress=lambda line: None)
+    found = drive_of(whole_drive(tmp_path / "out", "plain"))
+    # Stamped at the begin, whose middle is half a sweep later.
+    assert found.facts().times.origin_s == pytest.approx(1.75e9 + 2.5 * STEP_S, abs=1e-3)
