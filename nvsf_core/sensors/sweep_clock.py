@@ -76,8 +76,11 @@ def sweep_duration_s(fraction: np.ndarray, offset_s: np.ndarray, step_s: float) 
     clock = find_clock(fraction, offset_s / span_s) if span_s > 0.0 else None
     if clock is None:
         return None
-    turned = clock.elapsed(fraction)
-    return float(np.polyfit(turned, offset_s, 1)[0])
+    # Some lasers look aside of the sensor's azimuth: their returns lie beyond the cut, where the times say
+    # which sweep they are of, and it is the azimuth that has the error, so that it is fitted to the times.
+    turned = clock.spin * fraction + clock.lag
+    turned += np.rint(offset_s / span_s - turned)
+    return 1.0 / float(np.polyfit(offset_s, turned, 1)[0])
 
 
 def _cut(turned: np.ndarray, is_later: np.ndarray) -> float:

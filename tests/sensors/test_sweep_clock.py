@@ -55,6 +55,16 @@ def test_the_duration_of_a_sweep_of_key_frames_is_found_from_its_times(clock: Sw
         assert sweep_duration_s(fraction[kept], 0.1 * clock.elapsed(fraction)[kept], 0.1042) == 0.1042
 
 
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_lasers_that_look_aside_of_the_azimuth_shorten_no_sweep(clock: SweepClock) -> None:
+    rng = np.random.default_rng(0)
+    fired = rng.uniform(-0.5, 0.5, 20_000)
+    offset_s = 0.1 * clock.elapsed(fired)
+    # Up to 9 degrees, as those of an HDL-64E.
+    seen = np.mod(fired + rng.choice([-0.025, 0.0, 0.025], len(fired)) + 0.5, 1.0) - 0.5
+    assert sweep_duration_s(seen, offset_s, 0.3) == pytest.approx(0.1, rel=2e-3)
+
+
 def test_times_that_do_not_follow_the_azimuth_tell_no_duration() -> None:
     rng = np.random.default_rng(0)
     fraction = rng.uniform(-0.5, 0.5, 4000)
