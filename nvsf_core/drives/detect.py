@@ -87,7 +87,11 @@ def whole_drive(
         raise DataError(f"{source}, sequence {chosen}: expected scans or images, found none")
     begin, end = recorded[0] if first is None else first, recorded[1] if last is None else last
     if not recorded[0] <= begin <= end <= recorded[1]:
-        raise DataError(f"expected frames within {recorded[0]} to {recorded[1]}, found {begin} to {end}")
+        given = [f"{word} {one}" for word, one in (("first", first), ("last", last)) if one is not None]
+        raise DataError(
+            f"expected frames within {recorded[0]} to {recorded[1]}, the first before the last, found "
+            f"{' and '.join(given)}; correct --first or --last"
+        )
     return replace(entry, first_frame=begin, last_frame=end)
 
 

@@ -235,7 +235,7 @@ def _jump_check(drive: Drive) -> Check:
     ]
     detail = f"{len(jumps)} jumps of more than {_JUMP_M_S:.0f} m/s"
     if jumps:
-        detail += f": {_first(jumps)}; correct these poses, or delete their lines of poses.txt"
+        detail += f": {_first(jumps)}; correct these poses, or delete them from the drive"
     return Check(name="no_pose_jumps", passed=not jumps, detail=detail, blocking=True)
 
 

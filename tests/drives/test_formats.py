@@ -79,8 +79,12 @@ def test_a_part_of_a_drive_is_imported_under_its_own_numbers(root, recorded, tmp
     found = drive_of(scene)
     assert sorted(found.facts().poses) == [1, 2]
     assert np.array_equal(found.read_scan(2).points, recorded.read_scan(2).points)
-    with pytest.raises(DataError, match="expected frames within 0 to 3, found 1 to 9"):
+    with pytest.raises(
+        DataError, match=r"expected frames within 0 to 3, .* found first 1 and last 9; correct"
+    ):
         whole_drive(root / "demo", "kitti360", first=1, last=9)
+    with pytest.raises(DataError, match="before the last, found first 50; correct --first or --last"):
+        whole_drive(root / "demo", "kitti360", first=50)
 
 
 def test_kittis_odometry_tree_is_read_back(root, recorded):
@@ -226,7 +230,7 @@ def test_bad_frames_of_a_plain_drive_are_named_one_by_one_and_left_out(plain, tm
     ("name", "text", "reason"),
     [
         ("poses.csv", "frame,time_s,x\n0,0,1\n", r"poses\.csv: expected the columns time_s, x, y, z, qx"),
-        ("poses.csv", "frame,time_s\n0,zero\n", r"poses\.csv, line 2, time_s: expected a finite number"),
+        ("frames.csv", "frame,time_s\n0,zero\n", r"frames\.csv, line 2, time_s: expected a finite number"),
         ("frames.csv", "frame,time_s\n0,0\n1,0\n", r"frames\.csv: expected ascending times"),
         ("frames.csv", "frame,time_s\n0,0\n0,1\n", r"expected each frame once, found 0"),
         ("drive.json", '{"lidar": "HDL-65"}', r"drive\.json: lidar: expected 'found' or one of HDL-64E"),

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import re
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ _LONGEST_LINE, _MOST_CELLS = 65_536, 50_000_000
 """Characters of a line, and numbers of a table: 400 MB. Poses of 1 kHz for an hour are 47 million."""
 _LONGEST_STEP_S, _LATEST_S = 30.0, 1e11
 """Median step, and time, beyond which times are of another unit: 30 Hz in milliseconds, the year 5138."""
+_OTHER_SEPARATOR = re.compile(r"[;\t|]|\S\s+\S")
 _PLACE = ("x", "y", "z")
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _MATRIX = tuple(f"m{row}{column}" for row in range(3) for column in range(4))
@@ -34,6 +36,8 @@ def read_rows(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
     rows = _lines(path)
     _, cells = next(rows, (0, []))
     names = [name.strip() for name in cells]
+    if len(names) == 1 and _OTHER_SEPARATOR.search(names[0]):
+        raise DataError(f"{path}: expected names and numbers apart by commas, found {names[0]!r:.80}")
     if not names or len(set(names)) != len(names):
         raise DataError(
             f"{path}: expected a row of different column names and then rows of numbers, found "
@@ -56,29 +60,36 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
         raise DataError(f"cannot read {path} ({error}); docs/drives.md says what it holds") from error
 
 
-def read_columns(path: Path) -> dict[str, np.ndarray]:
-    """Columns (n,) float64 of a CSV file by the name in its first row.
+def read_columns(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> dict[str, np.ndarray]:
+    """Columns (n,) float64 of a CSV file by the name in its first row; others may hold anything.
 
     Raises:
-        DataError: It cannot be read, has no rows or too many, or a cell is not a finite number; the message
-            names the line and column.
+        DataError: It cannot be read, a needed column is absent, it has no rows or too many, or a cell is not
+            a finite number; the message names the line and column.
     """
     names, rows = read_rows(path)
+    absent = [name for name in needed if name not in names]
+    if absent:
+        raise DataError(
+            f"{path}: expected the columns {', '.join(needed)}, found {', '.join(names)!s:.200}; add "
+            f"{', '.join(absent)}"
+        )
+    used = [k for k, name in enumerate(names) if name in (*needed, *optional)]
     # One number takes 8 bytes; as Python's own, or as text, several times that.
-    columns = [array("d") for _ in names]
+    columns = {names[k]: array("d") for k in used}
     for number, cells in rows:
         if len(cells) != len(names):
             raise DataError(f"{path}, line {number}: expected {len(names)} cells, found {len(cells)}")
-        if len(names) * len(columns[0]) >= _MOST_CELLS:
+        if len(used) * len(columns[names[used[0]]]) >= _MOST_CELLS:
             raise DataError(f"{path}: expected at most {_MOST_CELLS:,} numbers, found more; cut the drive")
-        for name, column, cell in zip(names, columns, cells, strict=True):
+        for k in used:
             try:
-                column.append(finite_number(cell))
+                columns[names[k]].append(finite_number(cells[k]))
             except ValueError as error:
-                raise DataError(f"{path}, line {number}, {name}: {error}; correct it") from error
-    if not columns[0]:
+                raise DataError(f"{path}, line {number}, {names[k]}: {error}; correct it") from error
+    if not columns[names[used[0]]]:
         raise DataError(f"{path}: expected rows of numbers below the names, found none")
-    return {name: np.frombuffer(column) for name, column in zip(names, columns, strict=True)}
+    return {name: np.frombuffer(column) for name, column in columns.items()}
 
 
 def finite_number(cell: str) -> float:
@@ -94,20 +105,6 @@ def finite_number(cell: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"expected a finite number, found {cell!r:.40}")
     return value
-
-
-def require_columns(columns: Mapping[str, np.ndarray], names: Sequence[str], path: Path) -> None:
-    """Refuse a table without these columns.
-
-    Raises:
-        DataError: One is absent.
-    """
-    absent = [name for name in names if name not in columns]
-    if absent:
-        raise DataError(
-            f"{path}: expected the columns {', '.join(names)}, found {', '.join(columns)!s:.200}; add "
-            f"{', '.join(absent)}"
-        )
 
 
 def frame_numbers(columns: Mapping[str, np.ndarray], path: Path) -> np.ndarray:
@@ -147,8 +144,7 @@ def read_times(path: Path) -> dict[int, float]:
     Raises:
         DataError: See `read_columns`; or frames or times do not ascend.
     """
-    columns = read_columns(path)
-    require_columns(columns, ("frame", "time_s"), path)
+    columns = read_columns(path, ("frame", "time_s"))
     frames = frame_numbers(columns, path)
     _require_seconds(columns["time_s"], path)
     require_ascending(columns["time_s"], str(path))
@@ -164,12 +160,12 @@ def read_pose_table(path: Path) -> tuple[PosePath, np.ndarray | None]:
     Raises:
         DataError: See `read_columns`; or a pose is no rotation with a place on Earth.
     """
-    columns = read_columns(path)
-    if "m00" in columns:
-        require_columns(columns, ("time_s", *_MATRIX), path)
+    is_matrix = "m00" in read_rows(path)[0]
+    parts = _MATRIX if is_matrix else (*_PLACE, *_QUATERNION)
+    columns = read_columns(path, ("time_s", *parts), ("frame",))
+    if is_matrix:
         values = np.stack([columns[name] for name in _MATRIX], axis=1)
     else:
-        require_columns(columns, ("time_s", *_PLACE, *_QUATERNION), path)
         values = _matrices(columns, path)
     _require_seconds(columns["time_s"], path)
     require_ascending(columns["time_s"], str(path))

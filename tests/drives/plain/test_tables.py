@@ -57,7 +57,7 @@ def test_a_table_takes_the_memory_of_its_numbers(tmp_path: Path) -> None:
     path, rows, columns = tmp_path / "poses.csv", 20_000, 20
     path.write_text(",".join(f"c{k}" for k in range(columns)) + "\n" + ("1," * (columns - 1) + "1\n") * rows)
     tracemalloc.start()
-    found = read_columns(path)
+    found = read_columns(path, [f"c{k}" for k in range(columns)])
     _, most_bytes = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert len(found["c0"]) == rows and all((one == 1.0).all() for one in found.values())
@@ -71,7 +71,7 @@ def test_an_endless_line_is_refused_before_it_is_whole(tmp_path: Path, text: str
     with pytest.raises(
         DataError, match=r"cannot read .*poses\.csv \((line 2: expected at most 65,536|unexp)"
     ):
-        read_columns(path)
+        read_columns(path, ["a"])
 
 
 @pytest.mark.parametrize(("unit", "begin"), [(1e6, 1_700_000_000), (1e6, 0), (1e9, 0), (1e3, 0)])
@@ -85,4 +85,20 @@ def test_whole_times_of_another_unit_are_refused_with_what_to_divide_by(
     poses = [f"{row.partition(',')[2]},0,0,0,0,0,0,1" for row in rows]
     (tmp_path / "poses.csv").write_text("\n".join(["time_s,x,y,z,qx,qy,qz,qw", *poses]))
     with pytest.raises(DataError, match=r"poses\.csv: time_s: expected seconds"):
+        read_pose_table(tmp_path / "poses.csv")
+
+
+POSES = ["frame,time_s,x,y,z,qx,qy,qz,qw,driver", "0,0.0,0,0,0,0,0,0,1,Ann", "1,0.1,1,0,0,0,0,0,1,"]
+
+
+def test_a_column_that_is_not_used_may_hold_words(tmp_path: Path) -> None:
+    (tmp_path / "poses.csv").write_text("\n".join(POSES))
+    path, frames = read_pose_table(tmp_path / "poses.csv")
+    assert frames is not None and frames.tolist() == [0, 1] and path.poses[1, 0, 3] == 1.0
+
+
+@pytest.mark.parametrize("separator", [";", "\t", " ", "|"])
+def test_a_table_without_commas_is_refused_with_what_is_expected(tmp_path: Path, separator: str) -> None:
+    (tmp_path / "poses.csv").write_text("\n".join(POSES).replace(",", separator))
+    with pytest.raises(DataError, match=r"poses\.csv: expected names and numbers apart by commas, found"):
         read_pose_table(tmp_path / "poses.csv")
