@@ -209,8 +209,9 @@ def new_folder(target: Path) -> Iterator[Path]:
     """
     target = target.resolve()
     target.parent.mkdir(parents=True, exist_ok=True)
-    for temporary in leftovers(target.parent):
-        _remove(temporary)
+    for folder in (target.parent, target):
+        for temporary in leftovers(folder):
+            _remove(temporary)
     # A folder that is there may be a mounted disk, which can be filled but not replaced.
     is_there = target.is_dir()
     temporary = temporary_of(target / target.name if is_there else target)

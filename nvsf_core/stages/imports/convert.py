@@ -24,6 +24,7 @@ from nvsf_core.stages.imports.odometry import found_path
 from nvsf_core.stages.imports.plain_layout import PlainTarget
 from nvsf_core.stages.imports.target import AbstractTarget
 from nvsf_core.stores.scene_store import new_folder
+from nvsf_core.stores.writers import leftovers
 
 TARGETS: dict[str, type[AbstractTarget]] = {"plain": PlainTarget, "kitti360": Kitti360Target}
 """Layouts that a drive can be written in."""
@@ -65,7 +66,7 @@ def import_drive(
     """
     if layout not in TARGETS:
         raise DataError(f"layout: expected one of {', '.join(TARGETS)}, found {layout!r:.60}")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+    if out.exists() and (not out.is_dir() or set(out.iterdir()) - set(leftovers(out))):
         raise DataError(f"{out}: expected a folder to be made, found one that is taken; name another")
     require_outside(out, [scene.root])
     if len(range(scene.first_frame, scene.last_frame + 1)) > MOST_FRAMES:

@@ -1,6 +1,9 @@
 """A drive imported as plain files keeps its path between frames."""
 
 import json
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -146,3 +149,26 @@ def test_the_clock_counts_to_the_instant_of_the_first_frame(tmp_path):
     found = drive_of(whole_drive(tmp_path / "out", "plain"))
     # Stamped at the begin, whose middle is half a sweep later.
     assert found.facts().times.origin_s == pytest.approx(1.75e9 + 2.5 * STEP_S, abs=1e-3)
+
+
+_KILLED = """
+import os, signal, sys
+from pathlib import Path
+from nvsf_core.drives.detect import whole_drive
+from nvsf_core.stages.imports.convert import import_drive
+scene = whole_drive(Path(sys.argv[1]), "plain")
+import_drive(scene, Path(sys.argv[2]), progress=lambda line: os.kill(os.getpid(), signal.SIGKILL))
+"""
+
+
+@pytest.mark.parametrize("is_there", [False, True], ids=["a new folder", "an empty folder"])
+def test_what_a_killed_import_left_is_removed_by_the_next(tmp_path, is_there):
+    path_s = BEGIN_S + STEP_S * np.arange(FRAMES)
+    scene = _write(tmp_path / "in", path_s, range(FRAMES), None)
+    out = tmp_path / "drives/out"
+    if is_there:
+        out.mkdir(parents=True)
+    done = subprocess.run([sys.executable, "-c", _KILLED, tmp_path / "in", out], check=False)
+    assert done.returncode == -signal.SIGKILL and list(tmp_path.rglob(".publishing-*"))
+    import_drive(scene, out, progress=lambda line: None)
+    assert list(tmp_path.rglob(".publishing-*")) == [] and (out / "poses.csv").is_file()
