@@ -18,7 +18,7 @@ FRAMES = Stage(
     group="ingest",
     inputs=(),
     description="Every frame of the drive: when and where it was taken, and whether it can be used.",
-    version="9",
+    version="10",
     run=_later("frames", "run"),
     reads_drive=True,
 )
@@ -31,7 +31,7 @@ SWEEPS = Stage(
     run=_later("sweeps", "run"),
     reads_drive=True,
     check=_later("checks.sweeps", "check_sweeps"),
-    check_version="6",
+    check_version="7",
     named_checks=SWEEP_CHECKS,
     estimate_bytes=_later("sizes", "sweeps_bytes"),
 )
@@ -113,7 +113,7 @@ SCENE_METRICS = Stage(
     per_recipe=True,
     reads_truth=True,
     check=_later("checks.metrics", "check_metrics"),
-    check_version="4",
+    check_version="5",
     named_checks=METRIC_CHECKS,
 )
 DATASET = Stage(
@@ -122,7 +122,7 @@ DATASET = Stage(
     inputs=("frames", "evidence", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
     " with a manifest of what they came from and a card of how wrong they are.",
-    version="13",
+    version="14",
     run=_later("dataset", "run"),
     per_recipe=True,
     per_draw=True,
