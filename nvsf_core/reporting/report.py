@@ -21,7 +21,6 @@ from nvsf_core.reporting.tables import (
     full_tables,
     headline_columns,
     level_with,
-    lone_wins,
     methods_of,
     over_seeds,
     wins,
@@ -128,8 +127,9 @@ def _summary(scenes: Sequence[SceneOutputs], measured: Sequence[SceneOutputs], n
         parts.append(
             '<p class="soft">Means over the held-out frames; LiDAR by the protocol'
             " <code>lidar4d_scan</code>, images by <code>image</code>, mean over the cameras. “Best in”"
-            " counts the main numbers of a scene in which a method is the best one, or level with it; a"
-            " recipe’s are means over its seeds, so that each of its rows has the same count.</p>"
+            " counts the main numbers of a scene in which a method is the best one; where a model and a"
+            " baseline are level to the last digit, neither is. A recipe’s are means over its seeds, so that"
+            " each of its rows has the same count.</p>"
             '<p class="soft">The page holds <b>everything that was measured in this folder</b>, not only the'
             " last run; runs at other held-out frames than a scene’s newest are only named in its section."
             " A trained model’s row is named by its recipe (what was trained, and how long) and"
@@ -279,7 +279,7 @@ def _verdict(rows: Sequence[Row]) -> str:
 
     What it counts is what the terminal says at the end of a run (`metrics.headline`), of more numbers.
     """
-    count = lone_wins(rows)
+    count = wins(rows)
     total = sum(column.higher_is_better is not None for column in headline_columns(rows))
     models = [name for name, _, learned in methods_of(over_seeds(rows)) if learned]
     if not models or not total:

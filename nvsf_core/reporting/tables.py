@@ -151,21 +151,11 @@ def view_table(rows: Sequence[Row], view: str) -> str:
 
 
 def wins(rows: Sequence[Row]) -> dict[str, int]:
-    """Number of headline errors in which each recipe and baseline is best; a tie counts for each of them.
+    """Number of headline errors in which each recipe and baseline is best.
 
-    Of a recipe with several seeds the mean over them counts: the best of them is partly luck.
+    One in which a model and a baseline are level to the last digit counts for neither. Of a recipe with
+    several seeds the mean over them counts: the best of them is partly luck.
     """
-    rows = over_seeds(rows)
-    methods = [name for name, _, _ in methods_of(rows)]
-    count = dict.fromkeys(methods, 0)
-    for column in headline_columns(rows):
-        for row in best_rows(column):
-            count[methods[row]] += 1
-    return count
-
-
-def lone_wins(rows: Sequence[Row]) -> dict[str, int]:
-    """As `wins`, without the numbers in which a model and a baseline are level to the last digit."""
     methods = methods_of(over_seeds(rows))
     count = dict.fromkeys((name for name, _, _ in methods), 0)
     for best in _exactly_best(rows):
