@@ -77,7 +77,8 @@ def _versions(entry: SceneEntry, home: Path, mend: bool, say: Say) -> Iterator[b
         if damage is not None and removal_of(store, version.location) is not None:
             continue  # removed while it was read; told below
         is_mended = damage is not None and mend and make_anew(entry, home, version, say_on_stderr)
-        words = "whole" if damage is None else "made anew" if is_mended else f"DAMAGED ({damage})"
+        reason = "; not made anew, for its model, its drive or the code has changed since" if mend else ""
+        words = "whole" if damage is None else "made anew" if is_mended else f"DAMAGED ({damage}){reason}"
         say(f"{entry.name}, {version.location}: {words}")
         yield damage is None or is_mended
     for one in removals(store, f"{VERSIONS}/*/*"):

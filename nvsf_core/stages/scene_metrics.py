@@ -33,7 +33,7 @@ from nvsf_core.stages.scoring.recorded_truth import recorded_truth
 from nvsf_core.stages.scoring.rows import Ledger, method_columns
 from nvsf_core.stages.scoring.trust.view_rows import measure_trust, recorded_sensors, shows
 from nvsf_core.stages.scoring.view_images import TrueImages, measure_view_images, write_truth
-from nvsf_core.stores.arrays import holds_array, read_attrs
+from nvsf_core.stores.arrays import holds_array, read_arrays, read_attrs
 from nvsf_core.stores.tables import write_rows
 
 
@@ -156,7 +156,9 @@ def _measure(task: Task, parts: Sequence[_Part], ledger: Ledger) -> None:
 def _method(task: Task, path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
     """Columns on the method and its cost, of a stored prediction, and its attributes."""
     attrs = read_attrs(path)
-    return method_columns(path.stem, attrs, task.config.recipe.name, task.config.seed), attrs
+    measured = read_arrays(path, "train_seconds", "peak_memory_mb")
+    costs = attrs | {name: float(value[0]) for name, value in measured.items()}
+    return method_columns(path.stem, costs, task.config.recipe.name, task.config.seed), attrs
 
 
 def _holds_sweeps(attrs: Mapping[str, Any]) -> bool:

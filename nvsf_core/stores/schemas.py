@@ -237,9 +237,11 @@ CONTRACT: tuple[FileSpec, ...] = (
             Entry(f"{CAMERA}_time_s", "f8", ("images",), "s", "instant of the scene", optional=True),
             Entry(f"{CAMERA}_camera_to_world", "f8", ("images", 4, 4), "m", "true world", optional=True),
             Entry(f"{CAMERA}_render_seconds", "f8", ("images",), "s", "an image", optional=True),
+            Entry("train_seconds", "f8", (1,), "s", "evidence and training together"),
+            Entry("peak_memory_mb", "f8", (1,), "MB", "of the training process"),
         ),
         "split, sensor (empty = no LiDAR), method, recipe, seed, cameras, parameters, model_mb, "
-        "train_seconds, peak_memory_mb, scene_to_world (4 x 4, row by row), scene_rate and path_rate "
+        "scene_to_world (4 x 4, row by row), scene_rate and path_rate "
         "(seconds of the scene and of the path in one of the sensor's), mount (4 x 4 in the path's frame, or "
         "null), sensor_max_range_m, sweep_period_s, grid_lasers (of the grid's rows), measured_range_noise_m "
         "(of the training scans), cameras_like (cameras of other intrinsics: whose place they have), "

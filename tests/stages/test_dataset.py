@@ -70,7 +70,7 @@ def _write_view(store: SceneStore, view: str, frames: list[int], arrays: dict[st
             },
             {
                 "sensor": "HDL-64E",
-                "peak_memory_mb": math.nan,
+                "model_mb": math.nan,
                 "sweep_period_s": 0.1,
                 "grid_lasers": list(range(_LASERS)),
                 "instances": [],

@@ -24,6 +24,8 @@ _CHECK_KINDS: dict[str, type | tuple[type, ...]] = {
 _LARGEST = 2**63
 _LONGEST_PATH = 1000
 _CHECK_NEEDS = frozenset({"name", "passed", "detail"})
+_CURVE = "curve.parquet"
+_COSTS = ("_seconds", "_memory_mb")
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
@@ -64,8 +66,21 @@ def _beside(store: SceneStore, place: str) -> dict[str, str]:
 
 
 def content_of(record: Mapping[str, Any]) -> str:
-    """SHA-256 of the checksums of an output's files: what its readers depend on."""
-    return json_digest(record["files"])
+    """SHA-256 of the checksums of an output's files: what its readers depend on.
+
+    Training curves, and arrays that are named as seconds or memory, are left out: what making an output cost
+    differs each time, and the same scans and images are to be the same version.
+    """
+    return json_digest(
+        {
+            place: {name: checksum for name, checksum in files.items() if not _is_cost(name)}
+            for place, files in record["files"].items()
+        }
+    )
+
+
+def _is_cost(name: str) -> bool:
+    return any(part == _CURVE or part.endswith(_COSTS) for part in PurePosixPath(name).parts)
 
 
 def damage_of(store: SceneStore, location: str, record: Mapping[str, Any]) -> str | None:

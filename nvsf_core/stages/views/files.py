@@ -43,6 +43,9 @@ def write_method(
     """
     folder = task.folder / view
     folder.mkdir(parents=True, exist_ok=True)
+    costs = _costs(task, method)
+    # Arrays, for the attributes are content, and what a training took differs each time (`content_of`).
+    measured = {name: np.array([costs.pop(name)]) for name in ("train_seconds", "peak_memory_mb")}
     attrs: dict[str, Any] = {
         "split": view,
         **about,
@@ -51,9 +54,9 @@ def write_method(
         "seed": task.config.seed,
         "cameras": cameras_of(arrays),
         "scene_to_world": scene_to_world.reshape(-1).tolist(),
-        **_costs(task, method),
+        **costs,
     }
-    write_arrays(folder / f"{method}.zarr", arrays, attrs)
+    write_arrays(folder / f"{method}.zarr", arrays | measured, attrs)
 
 
 def _costs(task: Task, method: str) -> dict[str, float]:

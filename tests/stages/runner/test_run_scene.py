@@ -102,6 +102,28 @@ def test_a_new_version_of_a_stage_runs_what_reads_it_again_where_its_content_cha
     assert ("[tiny] b: made again, for its input a changed" in said) == (again == ["a", "b"])
 
 
+@pytest.mark.parametrize(
+    "measured", ["curve.parquet", "a.zarr/train_seconds/c/0", "a.zarr/peak_memory_mb/c/0"]
+)
+def test_what_an_output_cost_to_make_is_not_what_its_readers_depend_on(entry, tmp_path, measured):
+    made = []
+
+    def make(seconds):
+        plain = _make("a", (), made)
+
+        def run(task):
+            file = task.folder / measured
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(seconds)
+            return plain.run(task)
+
+        return replace(plain, run=run, version=seconds)
+
+    for seconds in ("17.25", "18.5"):
+        run_scene(entry, tmp_path, progress=str, stages=[make(seconds), _make("b", ("a",), made)])
+    assert made == ["a", "b", "a"]
+
+
 def test_a_stage_alone_needs_its_inputs(entry, tmp_path):
     flow = [_make("a", (), []), _make("b", ("a",), [])]
     with pytest.raises(StoreError, match="no output 'a'"):
