@@ -13,6 +13,8 @@ _MOST_BYTES = 64 * MIB
 _QUATERNION, _MATRIX = 8, 13
 """Numbers of a line: seconds with position and quaternion, or with a 3 x 4 matrix."""
 _TOLERANCE = 1e-3
+_LENGTH_TOLERANCE = 0.01
+"""Of a quaternion of few digits, as in `poses.csv` of a drive."""
 
 
 def read_pose_file(path: Path) -> PoseFile:
@@ -23,8 +25,8 @@ def read_pose_file(path: Path) -> PoseFile:
             (seconds, then the upper three rows of the 4 x 4 matrix), apart by blanks or commas.
 
     Raises:
-        DataError: It cannot be read, or a line is none of these, not finite, no rotation, or out of order;
-            the message names file and line.
+        DataError: It cannot be read, or a line is none of these, not finite, of a quaternion whose length is
+            not 1, no rotation, or out of order; the message names file and line.
     """
     try:
         text = read_text(path, _MOST_BYTES)
@@ -38,7 +40,7 @@ def read_pose_file(path: Path) -> PoseFile:
             continue
         where = f"{path}:{number}"
         values = _numbers(words, where)
-        pose = _of_quaternion(values[1:]) if len(values) == _QUATERNION else values[1:].reshape(3, 4)
+        pose = _of_quaternion(values[1:], where) if len(values) == _QUATERNION else values[1:].reshape(3, 4)
         rotation = pose[:, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=_TOLERANCE) or np.linalg.det(rotation) < 0:
             raise DataError(
@@ -66,14 +68,18 @@ def _numbers(words: list[str], where: str) -> np.ndarray:
     return values
 
 
-def _of_quaternion(values: np.ndarray) -> np.ndarray:
-    """(3, 4) pose of x y z and a quaternion x y z w; zeros where that has no length."""
+def _of_quaternion(values: np.ndarray, where: str) -> np.ndarray:
+    """(3, 4) pose of x y z and a quaternion x y z w."""
     length = float(np.linalg.norm(values[3:]))
-    x, y, z, w = values[3:] / length if length > 0.0 else values[3:]
+    if abs(length - 1.0) > _LENGTH_TOLERANCE:
+        raise DataError(
+            f"{where}: expected a quaternion of length 1, found {values[3:].tolist()}; it is x, y, z, w"
+        )
+    x, y, z, w = values[3:] / length
     rotation = np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ])  # fmt: skip
-    pose: np.ndarray = pose_from_parts(rotation if length > 0.0 else np.zeros((3, 3)), values[:3])[:3]
+    pose: np.ndarray = pose_from_parts(rotation, values[:3])[:3]
     return pose

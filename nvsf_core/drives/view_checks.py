@@ -10,7 +10,7 @@ from nvsf_core.drives.entries import SceneEntry, ViewEntry
 from nvsf_core.drives.kinds import MOST_FRAMES
 from nvsf_core.drives.kitti360.frames import FrameTimes
 from nvsf_core.drives.view_entry import NO_SENSOR
-from nvsf_core.drives.view_parts import FARTHEST_SHIFT_M
+from nvsf_core.drives.view_parts import FARTHEST_SHIFT_M, tilted_words
 from nvsf_core.errors import DataError, NvsfError
 from nvsf_core.geometry.camera_fan import require_coverage
 from nvsf_core.geometry.fisheye import shown_as
@@ -22,8 +22,6 @@ _SLACK_S = 1e-6
 
 _EXTRAS = {"laz": ("laspy", "lazrs"), "mcap": ("rosbags",), "rosbag2": ("rosbags",)}
 """Formats that packages write which may not be installed."""
-_MOST_TILT_DEG = 60.0
-"""Steeper is no road: a LiDAR that lies on its side or head is named."""
 
 
 def path_span_s(view: ViewEntry) -> tuple[float, float] | None:
@@ -264,19 +262,10 @@ def described(scene: SceneEntry) -> list[str]:
         moments = moments_s(view, frames, times.time_s)
         still = "" if view.frozen_at_s is None else f", all at {view.frozen_at_s:g} s"
         path = "the recorded path" if view.is_on_recorded_path else "a path of its own"
+        words = "" if view.pose_file is None else tilted_words(view.pose_file.poses)
+        tilted = f", where {words}" if words else ""
         lines.append(
             f"{view.name}: {len(moments)} instants, {moments[0]:g} to {moments[-1]:g} s on {path}{still}"
-            f"{_tilted(view)}; LiDAR {view.sensor_name or 'as recorded'}; exports {', '.join(view.exports)}"
+            f"{tilted}; LiDAR {view.sensor_name or 'as recorded'}; exports {', '.join(view.exports)}"
         )
     return lines
-
-
-def _tilted(view: ViewEntry) -> str:
-    """How far a file's poses turn the LiDAR over, as quaternions in another order do; empty of the usual."""
-    if view.pose_file is None:
-        return ""
-    up = np.array(view.pose_file.poses).reshape(-1, 3, 4)[:, 2, 2]
-    tilt_deg = float(np.degrees(np.arccos(np.clip(up.min(), -1.0, 1.0))))
-    if tilt_deg <= _MOST_TILT_DEG:
-        return ""
-    return f", where the LiDAR is up to {tilt_deg:.0f} degrees off upright (quaternions are x, y, z, w)"

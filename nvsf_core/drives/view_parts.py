@@ -1,6 +1,7 @@
 """Parts of a view's entry that are tables of their own: sensors, cameras, waypoints, poses of a file."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,8 @@ _CAMERA_NAME = re.compile(r"image_\d\d")
 CAMERA_NAME = re.compile(r"[a-z][a-z0-9]*(?:_[a-z0-9]+)*", re.ASCII)
 """Names of recorded cameras: part of folders and of arrays' names."""
 _MOST_PIXELS = 8192
+_MOST_TILT_DEG = 60.0
+"""Steeper is no road: a LiDAR that lies on its side or head is named."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,6 +189,18 @@ class PoseFile:
     """(n,) seconds since the scene's first frame, ascending."""
     poses: tuple[tuple[float, ...], ...]
     """(n,) upper three rows of each pose (3 x 4, row by row), LiDAR to the frame `path_in`, metres."""
+
+
+def tilted_words(poses: Sequence[Sequence[float]]) -> str:
+    """How far the poses of a file turn the LiDAR over, as quaternions in another order do; else empty.
+
+    `poses` (n, 12) are those of a `PoseFile`.
+    """
+    up = np.array(poses, np.float64).reshape(-1, 3, 4)[:, 2, 2]
+    tilt_deg = float(np.degrees(np.arccos(np.clip(up.min(), -1.0, 1.0))))
+    if tilt_deg <= _MOST_TILT_DEG:
+        return ""
+    return f"the LiDAR is up to {tilt_deg:.0f} degrees off upright (quaternions are x, y, z, w)"
 
 
 _MEI_NAMES = ("xi", "k1", "k2", "p1", "p2", "gamma1", "gamma2", "u0", "v0")

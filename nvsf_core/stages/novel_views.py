@@ -10,6 +10,7 @@ from nvsf_core._types import Scalar
 from nvsf_core.clouds.open3d_room import NO_OPEN3D
 from nvsf_core.demo.drive import DEMO_SEQUENCE
 from nvsf_core.drives.entries import ViewEntry
+from nvsf_core.drives.view_parts import tilted_words
 from nvsf_core.errors import MissingLibraryError
 from nvsf_core.models.baselines.mesh import mesh_baseline
 from nvsf_core.models.baselines.reproject import reprojection
@@ -79,6 +80,7 @@ def run(task: Task) -> StageOutput:
             output.metadata[entry.name] = NO_LIDAR
             task.progress(f"[{task.scene.name}] novel_views: {entry.name} {NO_LIDAR}")
             continue
+        say_tilted(task, entry)
         arrays = render_view_arrays(task, recording, view, models[MODEL], MODEL)
         by_images = asks_images(recording, view, models[MODEL])
         _publish(task, recording, view, arrays, output, by_images=by_images)
@@ -187,6 +189,13 @@ def render_view_arrays(
     if model.camera is not None:
         arrays |= image_arrays(task, recording, view, model.camera, method)
     return arrays
+
+
+def say_tilted(task: Task, entry: ViewEntry) -> None:
+    """Say where a file's poses turn the LiDAR over: they are rendered, but are hardly what is meant."""
+    words = "" if entry.pose_file is None else tilted_words(entry.pose_file.poses)
+    if words:
+        task.progress(f"[{task.scene.name}] view {entry.name}: {words}")
 
 
 def with_images(

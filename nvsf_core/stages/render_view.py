@@ -19,7 +19,7 @@ from nvsf_core.stages.field import load_trained
 from nvsf_core.stages.flow import FIELD
 from nvsf_core.stages.inputs import clock_origin_s, read_recording
 from nvsf_core.stages.kept_versions import keep_newest
-from nvsf_core.stages.novel_views import asks_images, render_view_arrays, with_images
+from nvsf_core.stages.novel_views import asks_images, render_view_arrays, say_tilted, with_images
 from nvsf_core.stages.runner.locks import LOCKS, file_lock, output_locks
 from nvsf_core.stages.runner.run import (
     SceneRun,
@@ -142,6 +142,7 @@ def _write(run: SceneRun, asked: ViewEntry, folder: Path, say: Progress) -> None
     task = run.task(folder, say)
     recording = read_recording(run.store)
     view = asked_view(recording, asked)
+    say_tilted(task, asked)
     if view is None:
         raise DataError(
             f"view {asked.name}: expected sensors that the drive has, found none of those asked for"

@@ -259,6 +259,7 @@ def test_every_part_of_a_view_is_read(tmp_path: Path) -> None:
         ('pose_file = "none.txt"\n', "pose_file: cannot read"),
         ('pose_file = "bad.txt"\n', r"bad\.txt:2: expected 8 finite numbers"),
         ('pose_file = "skew.txt"\n', r"skew\.txt:1: expected a rotation"),
+        ('pose_file = "long.txt"\n', r"long\.txt:2: expected a quaternion of length 1"),
         ('pose_file = "utm.txt"\n', "pose_file: expected positions within 1000 m of the start"),
         ('path_in = "there"\n', "path_in: expected one of start, world"),
         (
@@ -277,6 +278,7 @@ def test_a_view_that_cannot_be_is_refused_with_what_is_allowed(
 ) -> None:
     written(tmp_path / "bad.txt", "0 1 2 3 0 0 0 1\n1 2 3\n")
     written(tmp_path / "skew.txt", "0 1 2 3 4 5 6 7 8 9 10 11 12\n")
+    written(tmp_path / "long.txt", "0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 2\n")
     written(tmp_path / "utm.txt", "0 455000 5428000 110 0 0 0 1\n1 455001 5428000 110 0 0 0 1\n")
     with pytest.raises(DataError, match=rf"c\.toml.*{reason}"):
         load_catalogue([written(tmp_path / "c.toml", VIEW + lines)], None)

@@ -210,6 +210,23 @@ def test_a_view_without_any_return_is_said_to_be_empty(run: Run, tmp_path: Path)
     assert doubts == ["[tiny] view: check every_scan_has_returns fails: views with an empty scan: ['far']"]
 
 
+def test_a_lidar_on_its_head_is_named_while_it_is_rendered_and_on_the_card(run: Run, tmp_path: Path) -> None:
+    words = "the LiDAR is up to 180 degrees off upright (quaternions are x, y, z, w)"
+    for order, is_turned in (("0 0 0 1", False), ("1 0 0 0", True)):
+        said: list[str] = []
+        path = tmp_path / "path.txt"
+        path.write_text(f"0.1 0 0 0 {order}\n0.2 1 0 0 {order}\n")
+        keys = {"name": "own", "pose_file": str(path), "times_s": [0.1], "cameras": []}
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(mesh, "poisson_mesh", _missing)
+            folder = render_view(
+                run.plan.scene, keys, run.plan.store.home, out=tmp_path / f"turned_{is_turned}", recipe=SMOKE,
+                progress=said.append,
+            )  # fmt: skip
+        assert any(f"view own: {words}" in line for line in said) is is_turned, said
+        assert (words in (folder / "card.md").read_text()) is is_turned
+
+
 def test_a_copied_image_is_the_training_image_nearest_to_the_view(run: Run) -> None:
     recorded = read_arrays(run.root / "undistorted/images.zarr", "image_00_rgb")["image_00_rgb"]
     copied = read_arrays(run.stored("between", "copy_nearest"), "image_00_rgb")["image_00_rgb"]

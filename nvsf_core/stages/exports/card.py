@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from nvsf_core.drives.view_parts import tilted_words
 from nvsf_core.metrics.table import HEADLINES, HELD_OUT
 from nvsf_core.metrics.trust.verdict import Trust, verdicts
 from nvsf_core.rendering.rendered import Support
@@ -146,6 +147,10 @@ def _not_for(
             "As scans of KITTI's odometry benchmark, which are compensated for the car's motion: those in "
             "`kitti` are not; `velodyne_time` beside them has each point's time."
         )
+    poses = (manifest["view"].get("pose_file") or {}).get("poses")
+    tilted = tilted_words(poses) if poses else ""
+    if tilted:
+        found.append(f"As what a car's sensor sees, unless its path is meant so: {tilted}.")
     if not manifest["licence"]:
         found.append("For publication, before the recording's licence is known: it applies to what is made.")
     return found
