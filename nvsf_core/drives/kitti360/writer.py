@@ -179,9 +179,10 @@ def write_cam_to_pose(path: Path, cam_to_pose: Mapping[str, np.ndarray]) -> None
 def write_perspective(path: Path, cameras: Mapping[str, RectifiedCamera]) -> None:
     """Write `perspective.txt`: rectified and (nominal) raw intrinsics of `image_00` and `image_01`.
 
-    A drive has no raw images, so K, D and S are those of the rectified ones.
+    A drive has no raw images, so K, D and S are those of the rectified ones. KITTI-360's `calib_time` is left
+    out: nobody knows when the cameras were calibrated.
     """
-    lines = ["calib_time: 28-May-2013 08:00:00", "corner_dist: 0.100000"]
+    lines = ["corner_dist: 0.100000"]
     for name, camera in cameras.items():
         tag = name[-2:]
         pinhole = camera.pinhole

@@ -163,6 +163,7 @@ def test_formats_with_dates_have_the_recordings_or_the_first_of_all(tmp_path: Pa
     write_kitti360(tmp_path, data)
     layout = DriveLayout(tmp_path / "kitti360", data.sequence)
     assert layout.timestamps_path().read_text().startswith(date)
+    assert "2013" not in layout.perspective_path.read_text()
     found = frame_times(layout, small.NUMBERS[0], small.NUMBERS[-1], None)
     if DATES[date] == UNDATED_S:
         assert found.origin_s is None
