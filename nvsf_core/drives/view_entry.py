@@ -67,8 +67,9 @@ class ViewEntry:
     """A smooth path of one's own instead of the recorded one: `{ time_s = 0.0, position_m = [0, 0, 0] }`,
     also with `yaw_deg`, `pitch_deg`, `roll_deg`. Shift and angles of the view come on top."""
     pose_file: PoseFile | None = None
-    """The same as a file of poses of the LiDAR, beside the catalogue: a line a pose, with 8 numbers (seconds,
-    x y z, quaternion x y z w) or 13 (seconds, 3 x 4 matrix row by row)."""
+    """The same as a file of poses of the LiDAR, beside the catalogue (in Python and on the command line: in
+    the current folder): a line a pose, with 8 numbers (seconds, x y z, quaternion x y z w of length 1) or 13
+    (seconds, 3 x 4 matrix row by row)."""
     path_in: str = "start"
     """Frame of `waypoints` or `pose_file`: `start`, the LiDAR's first recorded pose of the scene (forward,
     left, up), or `world`, the drive's own."""

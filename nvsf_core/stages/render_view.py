@@ -44,7 +44,7 @@ _BEFORE = ("frames", "sweeps", "pano", "undistorted", "evidence", "field")
 def view_of(keys: Mapping[str, Any], home: Path | None = None) -> ViewEntry:
     """A view from the keys that a `[[view]]` of the catalogue has; without a name it is `view`.
 
-    A `sensor` may be one of the catalogue's own.
+    A `sensor` may be one of the catalogue's own; a relative `pose_file` lies in the current folder.
 
     Args:
         keys: Keys and values as TOML has them.
