@@ -45,6 +45,7 @@ def card_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
         "returns": _shares(manifest["scans"], "returns"),
         "pixels": _shares(manifest["images"], "pixels"),
     }
+    unknown = _without_support(manifest["images"])
     said = [one for one in verdicts(rows) if one.view == manifest["view"]["name"]]
     trust = [{"sensor": one.sensor, "verdict": one.trust.words, "why": one.why} for one in said]
     return {
@@ -67,6 +68,7 @@ def card_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
             "draw_seed": manifest["draw_seed"],
         },
         "support": {kind: shares for kind, shares in support.items() if shares},
+        **({"support_unknown": unknown} if unknown else {}),
         "errors": [_error(row) for row in rows if _is_shown(row)],
         "trust": trust,
         "not_for": [*_NEVER, *_not_for(manifest, support, [one.trust for one in said])],
@@ -106,6 +108,12 @@ def _shares(rows: Sequence[Mapping[str, Any]], total: str) -> dict[str, float]:
     return {name: sum(row[name] for row in known) / count for name in names} if count else {}
 
 
+def _without_support(images: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Cameras none of whose pixels' support is known, as of one with too few images to learn from."""
+    known = {row["camera"] for row in images if Support.SEEN.region in row}
+    return sorted({row["camera"] for row in images} - known)
+
+
 def _is_shown(row: Mapping[str, Any]) -> bool:
     protocol, metric = row["protocol"], row["metric"]
     is_main = protocol in _SHOWN and metric in HEADLINES[protocol]
@@ -131,9 +139,11 @@ def _not_for(
     for kind, shares in support.items():
         guessed = shares.get(Support.GUESSED.region, 0.0)
         if guessed > _GUESSED_NOTICED:
+            unknown = _without_support(manifest["images"]) if kind == "pixels" else []
+            but = f"; nothing is known of those of {', '.join(unknown)}" if unknown else ""
             found.append(
                 f"Without leaving out what is guessed: {guessed:.1%} of its {kind} show what nobody recorded;"
-                " files in `support` mark them."
+                f" files in `support` mark them{but}."
             )
     if manifest["view"]["sensor"] is not None and manifest["scans"]:
         found.append(
@@ -195,7 +205,9 @@ def _markdown(card: Mapping[str, Any]) -> str:
         "",
         "## What the recording knows of it",
         "",
-        *_support_lines(card["support"], what["scans"] > 0 and what["returns"] == 0),
+        *_support_lines(
+            card["support"], card.get("support_unknown", []), what["scans"] > 0 and what["returns"] == 0
+        ),
     ]
     if card["trust"]:
         lines += ["", "## Compared with the recording", ""]
@@ -240,7 +252,9 @@ def _in_words(value: float, unit: str) -> str:
     return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
 
 
-def _support_lines(support: Mapping[str, Mapping[str, float]], has_no_return: bool) -> list[str]:
+def _support_lines(
+    support: Mapping[str, Mapping[str, float]], unknown: Sequence[str], has_no_return: bool
+) -> list[str]:
     if not support and not has_no_return:
         return ["Not known: it was rendered without support."]
     words = {
@@ -254,5 +268,9 @@ def _support_lines(support: Mapping[str, Mapping[str, float]], has_no_return: bo
             f"- of the {kind}: "
             + "; ".join(f"{shares[one.region]:.1%} {text}" for one, text in words.items())
             for kind, shares in support.items()
+        ),
+        *(
+            f"- of the pixels of `{one}`: not known, so not counted here; no files in `support`"
+            for one in unknown
         ),
     ]

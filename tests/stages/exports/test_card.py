@@ -77,6 +77,21 @@ def test_a_card_of_scans_without_a_return_says_so_and_nothing_of_support(tmp_pat
     assert not any("hold none" in line for line in _written(tmp_path, _manifest())[0]["not_for"])
 
 
+def test_a_camera_of_unknown_support_is_named_beside_the_others_shares(tmp_path: Path) -> None:
+    counts = {"support_seen": 90, "support_extrapolated": 0, "support_guessed": 10}
+    known = {"camera": "cam", "pixels": 100, "time_s": 0.2, **counts}
+    images = [known, {"camera": "camb", "pixels": 100, "time_s": 0.2}]
+    card, text = _written(tmp_path, _manifest(images=images))
+    assert card["support"]["pixels"]["support_guessed"] == 0.1
+    assert card["support_unknown"] == ["camb"]
+    assert any(
+        "of its pixels" in line and "nothing is known of those of camb" in line for line in card["not_for"]
+    )
+    assert "- of the pixels of `camb`: not known, so not counted here; no files in `support`" in text
+    card, text = _written(tmp_path, _manifest(images=[known]))
+    assert "support_unknown" not in card and "camb" not in text
+
+
 def test_a_card_says_that_scans_of_kitti_are_not_compensated(tmp_path: Path) -> None:
     exported = {"name": "left", "sensor": None, "exports": ["bin", "kitti"]}
     card, _ = _written(tmp_path, _manifest(view=exported))
