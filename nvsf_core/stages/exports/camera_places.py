@@ -1,6 +1,6 @@
 """Which cameras of a data set take the places that a format has: the one ahead, and those beside it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -31,6 +31,13 @@ def are_parallel(first: CameraRecord, second: CameraRecord) -> bool:
     """Whether all axes of two cameras agree within 1 degree."""
     turn = first.in_lidar[:3, :3].T @ second.in_lidar[:3, :3]
     return bool(np.degrees(np.linalg.norm(log_so3(turn))) <= _ALIKE_DEG)
+
+
+def in_free_places(names: Sequence[str], places: Sequence[str], own: Mapping[str, str]) -> dict[str, str]:
+    """Places for those cameras that have none yet by `own`, of those that are free."""
+    without = [name for name in names if name not in own]
+    free = [place for place in places if place not in own.values()]
+    return dict(zip(without, free, strict=False))
 
 
 def _by_axis(cameras: Mapping[str, CameraRecord]) -> list[str]:

@@ -1,9 +1,9 @@
 """Format `kitti360`: the whole layout of a KITTI-360 drive, which this project ingests again.
 
 Frames are numbered as the data set's files; timestamps have a line a frame from frame 0, those between hold
-the times that an even pace would give them. Images are rectified: `image_02` and `image_03`, whose recorded
-images are fisheyes, come as MEI cameras without distortion. Cameras of other intrinsics are no part of the
-layout.
+the times that an even pace would give them. Recorded images are rectified: `image_02` and `image_03`,
+whose recorded images are fisheyes, come as MEI cameras without distortion. Cameras of other intrinsics take
+the places that these leave free.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from nvsf_core.drives.kitti360.boxes import STATIC_FRAME, Box, class_of, number_in_boxes
-from nvsf_core.drives.kitti360.layout import CAMERAS, DriveLayout
+from nvsf_core.drives.kitti360.layout import CAMERAS, FISHEYE_CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.scans import write_column, write_scan
 from nvsf_core.drives.kitti360.writer import (
     MOST_LINES_BEFORE,
@@ -27,6 +27,7 @@ from nvsf_core.drives.kitti360.writer import (
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.stages.exports.camera_places import in_free_places
 from nvsf_core.stages.exports.records import BoxRecord, CameraRecord, DataSet
 
 FOLDER = "kitti360"
@@ -35,12 +36,16 @@ _LIDAR_TO_POSE = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def kitti360_cameras(cameras: Mapping[str, CameraRecord]) -> dict[str, str]:
-    """Camera to its name in the layout; where all have other names, of the first four."""
-    own = [name for name in cameras if name in CAMERAS]
-    if own:
-        return {name: name for name in own}
+    """Camera to its name in the layout; those that find no place are left out.
+
+    One that has a name of the layout keeps it. Of the others MEI cameras take fisheyes' places that are free,
+    pinholes what is free then.
+    """
+    own = {name: name for name in cameras if name in CAMERAS}
     flat = [name for name, camera in cameras.items() if isinstance(camera.model, Pinhole)]
-    return dict(zip(flat, CAMERAS, strict=False))
+    own |= in_free_places([name for name in cameras if name not in flat], FISHEYE_CAMERAS, own)
+    own |= in_free_places(flat, CAMERAS, own)
+    return {name: own[name] for name in cameras if name in own}
 
 
 def write_kitti360(folder: Path, data: DataSet) -> None:
@@ -82,9 +87,6 @@ def _write_calibration(layout: DriveLayout, cameras: dict[str, CameraRecord]) ->
         in_lidar = {"image_00": invert_pose(_LIDAR_TO_POSE), **in_lidar}
     to_pose = {name: _LIDAR_TO_POSE @ pose for name, pose in in_lidar.items()}
     models = {name: camera.model for name, camera in cameras.items()}
-    assert all(isinstance(one, Pinhole) for one in models.values()), (
-        "images of recorded cameras are undistorted"
-    )
     write_calibration(layout, models, to_pose, in_lidar["image_00"])
 
 

@@ -28,6 +28,7 @@ from nvsf_core.drives.kitti360.writer import (
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import invert_pose
+from nvsf_core.stages.exports.camera_places import in_free_places
 from nvsf_core.stages.exports.kitti360 import object_numbers
 from nvsf_core.stages.imports.target import AbstractTarget
 
@@ -170,16 +171,9 @@ def layout_names(cameras: Mapping[str, CameraCalibration]) -> dict[str, str]:
     curved = [name for name in cameras if name not in flat]
     own = {name: name for name in flat if name in PERSPECTIVE_CAMERAS}
     own |= {name: name for name in curved if name in FISHEYE_CAMERAS}
-    own |= _in_free_places(curved, FISHEYE_CAMERAS, own)
+    own |= in_free_places(curved, FISHEYE_CAMERAS, own)
     if PERSPECTIVE_CAMERAS[0] in own:
         free = set(FISHEYE_CAMERAS) - set(own.values())
         own |= {name: name for name in flat if name in free}
-    own |= _in_free_places(flat, CAMERAS, own)
+    own |= in_free_places(flat, CAMERAS, own)
     return {name: own[name] for name in cameras if name in own}
-
-
-def _in_free_places(names: Sequence[str], places: Sequence[str], own: Mapping[str, str]) -> dict[str, str]:
-    """Places for those cameras that have none yet."""
-    without = [name for name in names if name not in own]
-    free = [place for place in places if place not in own.values()]
-    return dict(zip(without, free, strict=False))

@@ -1,15 +1,19 @@
 """A data set says what each format calls each camera, and which cameras it leaves out."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from nvsf_core.drives.kitti360.calibration import read_calibration
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.view_entry import ViewEntry
+from nvsf_core.geometry.fisheye import MeiFisheye
+from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.recipe.presets import preset
 from nvsf_core.stages.exports.card import card_of
+from nvsf_core.stages.exports.kitti360 import kitti360_cameras, write_kitti360
 from nvsf_core.stages.exports.of_view import RenderedView
 from nvsf_core.stages.exports.records import CameraRecord
 from nvsf_core.stages.exports.write import write_data_set
@@ -70,6 +74,36 @@ def test_cameras_that_keep_their_names_need_no_words(tmp_path: Path) -> None:
     assert made["camera_names"] == {"kitti360": {"image_00": "image_00"}}
     _, text = _written(tmp_path, _manifest(camera_names=made["camera_names"]))
     assert "is left out" not in text and " is `" not in text
+
+
+@pytest.mark.parametrize(
+    ("first", "places"),
+    [
+        ("front", ("image_00", "image_01", "image_02", "image_03", None)),
+        ("image_00", ("image_00", "image_01", "image_02", "image_03", None)),
+        ("image_02", ("image_02", "image_00", "image_03", "image_01", None)),
+    ],
+)
+def test_a_fisheye_has_a_fisheyes_place_in_kitti360_and_comes_back(
+    tmp_path: Path, first: str, places: tuple[str | None, ...]
+) -> None:
+    mei = MeiFisheye(1.2, 0.01, 1e-3, 5e-4, -5e-4, 60.0, 60.0, 31.0, 23.0, 64, 48)
+    pinholes = small.rig(**{first: 0.0, "image_10": 15.0, "image_13": 30.0, "image_14": 40.0})
+    flat = iter(pinholes.items())
+    cameras = dict([next(flat), next(flat)])
+    cameras["image_12"] = CameraRecord(model=mei, in_lidar=small.IN_LIDAR)
+    cameras |= dict(flat)
+    names = kitti360_cameras(cameras)
+    assert tuple(names.get(name) for name in cameras) == places
+    data = replace(small.data_set(), cameras=cameras)
+    write_kitti360(tmp_path, data)
+    layout = DriveLayout(tmp_path / "kitti360", data.sequence)
+    assert layout.image_path(names["image_12"], small.NUMBERS[0]).is_file()
+    calibration = read_calibration(layout, None, has_scans=True)
+    found = calibration.cameras[names["image_12"]]
+    assert found.intrinsics == mei
+    in_lidar = invert_pose(calibration.lidar_to_pose) @ found.to_pose
+    assert np.allclose(in_lidar, small.IN_LIDAR, atol=1e-9)
 
 
 def test_a_joined_data_set_which_has_no_whole_formats_has_a_card() -> None:
