@@ -39,8 +39,8 @@ _FORMATS = {
     " with `compensate = false` they are of one instant, all times 0)",
     "kitti360": "a KITTI-360 root: calibration, poses, timestamps, boxes; this project ingests it again."
     " Fisheyes of `[[view.camera]]` have the places of such, `image_02` and `image_03`, where these are free",
-    "mcap": "a ROS 2 bag (Humble and newer) in an MCAP file: points, images, depth, objects, camera info,"
-    " transforms (extra `exports`)",
+    "mcap": "a ROS 2 bag (Humble and newer) in an MCAP file: points, images, depth, instance images,"
+    " camera info, transforms, and no boxes, which the manifest has (extra `exports`)",
     "rosbag2": "the same bag in an SQLite file, `.db3` (extra `exports`)",
     "nuscenes": "nuScenes' tables and files, version `v1.0-nvsf`: LIDAR_TOP, pinhole cameras (the one that"
     " looks ahead is CAM_FRONT), annotations",
