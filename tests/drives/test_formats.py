@@ -140,6 +140,27 @@ def test_our_own_tree_of_a_scene_of_instants_is_imported_as_one(root, tmp_path, 
     assert whole_drive(tmp_path / "moving" / name, kind).is_to_compensate
 
 
+@pytest.mark.parametrize(
+    ("write", "kind", "ring", "time"),
+    [
+        (write_kitti, "kitti_odometry", "velodyne_ring", "velodyne_time"),
+        (write_kitti360, "kitti360", "ring", "time"),
+    ],
+)
+def test_rings_and_times_that_a_tree_of_ours_has_are_said_not_to_be_read(
+    root, tmp_path, write, kind, ring, time
+):
+    write(tmp_path, data_set(tiny_scene(root / "demo")))
+    place = tmp_path / kind.removesuffix("_odometry")
+    done = import_drive(whole_drive(place, kind), tmp_path / "again", progress=_silent)
+    said = [note for note in done.notes if "not read" in note]
+    assert len(said) == 1 and f"not read: {ring} and {time};" in said[0] and "mcap" in said[0], done.notes
+    for folder in [*place.rglob(ring), *place.rglob(time)]:
+        shutil.rmtree(folder)
+    bare = import_drive(whole_drive(place, kind), tmp_path / "bare", progress=_silent)
+    assert not any("not read" in note for note in bare.notes)
+
+
 def test_a_sequence_of_kittis_odometry_without_poses_says_how_to_find_them(root):
     write_kitti(root / "bare", data_set(tiny_scene(root / "demo")))
     shutil.rmtree(root / "bare/kitti/poses")

@@ -1,10 +1,12 @@
 """A sequence of KITTI's odometry benchmark: `sequences/00`, `poses/00.txt`."""
 
+from dataclasses import replace
 from os.path import lexists
 from pathlib import Path
 
 import numpy as np
 
+from nvsf_core.drives.drive import DriveFacts
 from nvsf_core.drives.kitti.files import (
     CAMERA_AXES_TO_Z_UP,
     AbstractKittiDrive,
@@ -14,6 +16,7 @@ from nvsf_core.drives.kitti.files import (
 from nvsf_core.drives.kitti.poses import read_poses, read_seconds
 from nvsf_core.drives.kitti360.calibration import Calibration
 from nvsf_core.drives.kitti360.text import KeyedText
+from nvsf_core.drives.plain.unread import unread_columns
 from nvsf_core.drives.posed import PosePath, require_ascending
 from nvsf_core.errors import CalibrationError, DataError
 
@@ -77,6 +80,14 @@ class KittiOdometryDrive(AbstractKittiDrive):
                 f"{self.poses_file}: expected {len(seconds)} poses as times.txt has, found {len(poses)}"
             )
         return PosePath(seconds, CAMERA_AXES_TO_Z_UP @ poses, self.poses_file)
+
+    def facts(self) -> DriveFacts:
+        """See the base class; with a note on rings and times of our own exports."""
+        facts, place = super().facts(), self._place
+        return replace(
+            facts,
+            notes=(*facts.notes, *unread_columns(place / "velodyne_ring", place / "velodyne_time")),
+        )
 
     def calibration(self) -> Calibration:
         """`calib.txt`: `Tr` of the LiDAR, `P0` to `P3` of the cameras."""

@@ -27,7 +27,7 @@ from nvsf_core.drives.kitti360.images import decode_image, read_image_bytes
 from nvsf_core.drives.kitti360.layout import CAMERAS, FISHEYE_CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan_bytes
 from nvsf_core.drives.kitti360.text import require_folder
-from nvsf_core.drives.plain.unread import require_none_in, unnamed_files, with_folders_below
+from nvsf_core.drives.plain.unread import require_none_in, unnamed_files, unread_columns, with_folders_below
 from nvsf_core.drives.section import Section
 from nvsf_core.sensors.tables import HDL_64E
 
@@ -93,6 +93,7 @@ class Kitti360Drive(AbstractDrive):
             calibration=calibration, poses=poses, poses_place=layout.poses_path, times=self.times(),
             has_scans=has_scans, sensor=self.scene.lidar or HDL_64E.name,
             disagreement=self._disagreement(poses, calibration),
+            notes=unread_columns(layout.velodyne_dir / "ring", layout.velodyne_dir / "time"),
         )  # fmt: skip
 
     def places_m(self) -> np.ndarray:

@@ -111,6 +111,20 @@ def with_folders_below(places: Iterable[Path]) -> list[Path]:
     return folders + [path for one in folders for path in sorted(one.iterdir()) if _is_readable(path)]
 
 
+def unread_columns(*folders: Path) -> tuple[str, ...]:
+    """A note where our exports have rings and times of points, which readers of their layouts pass over.
+
+    `folders` are those of `ring` and of `time`.
+    """
+    there = [one for one in folders if one.is_dir()]
+    if not there:
+        return ()
+    return (
+        f"{there[0].parent}: not read: {' and '.join(one.name for one in there)}; lasers are those of the "
+        "sensor, or found, times follow the azimuths; an export as mcap is read with both",
+    )
+
+
 def _is_readable(path: Path) -> bool:
     return path.is_dir() and os.access(path, os.R_OK | os.X_OK)
 
