@@ -5,6 +5,7 @@ middle is nearest, and is placed by the path at its own time.
 """
 
 import re
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -30,7 +31,7 @@ from nvsf_core.drives.bags.messages import (
     stamp_s,
 )
 from nvsf_core.drives.bags.rectified_places import place_words, rectified_place
-from nvsf_core.drives.drive import Recorded
+from nvsf_core.drives.drive import DriveFacts, Recorded
 from nvsf_core.drives.kitti360.calibration import Calibration, CameraCalibration
 from nvsf_core.drives.kitti360.frames import NOMINAL_PERIOD_S
 from nvsf_core.drives.kitti360.images import decode_picture
@@ -201,6 +202,19 @@ class BagDrive(AbstractPosedDrive):
                 f"rectified already, say so: rectified = [{name!r}] in the scene, or --rectified {name}"
             )
         return lens_of(facts, info), to_lidar, doubts
+
+    def facts(self) -> DriveFacts:
+        """See the base class; with a note on images that no frame takes."""
+        facts = super().facts()
+        notes = []
+        for name in facts.calibration.cameras:
+            recorded, kept = len(self._index.images[self._topics[name]]), len(self._images[name])
+            if kept < recorded:
+                notes.append(
+                    f"{name}: {recorded - kept} of {recorded} images in the bag are left out: a scan takes "
+                    "the one nearest to it, within half the time from scan to scan"
+                )
+        return replace(facts, notes=(*facts.notes, *notes))
 
     def calibration(self) -> Calibration:
         """Camera infos and fixed transforms. The pose frame is the LiDAR's."""
