@@ -49,6 +49,15 @@ class Imported:
     """What was assumed, and how well poses were found."""
 
 
+@dataclass(slots=True)
+class _Scans:
+    """What became of the section's scans."""
+
+    written: int = 0
+    refused: str = ""
+    """Why the first one that is there cannot be used; empty = none was refused."""
+
+
 def import_drive(
     scene: SceneEntry, out: Path, *, layout: str = "plain", progress: Callable[[str], None]
 ) -> Imported:
@@ -61,7 +70,8 @@ def import_drive(
         progress: Receives progress lines.
 
     Raises:
-        DataError: The drive cannot be read, nothing of it can be used, or `out` is taken or in the drive.
+        DataError: The drive cannot be read, nothing of it or none of its scans can be used, or `out` is taken
+            or in the drive.
         MissingLibraryError: Poses are to be found and KISS-ICP is not installed.
     """
     if layout not in TARGETS:
@@ -94,17 +104,23 @@ def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[s
         notes.append(f"the scans are not of an {HDL_64E.name}: their lasers are to be found")
     target = TARGETS[layout](folder, scene, facts)
     target.path = source.path_of_section() if isinstance(source, AbstractPosedDrive) else None
-    scans, images = 0, 0
+    scans, images = _Scans(), 0
     for number, frame in enumerate(source.frames):
         progress(f"frame {frame}, {number} of {len(source.frames)} done")
         if frame not in facts.poses:
             left_out.append(f"pose {frame}: none in {facts.poses_place.name}")
-        scans += _scan(source, facts, target, frame, left_out)
+        _scan(source, facts, target, frame, scans, left_out)
         images += sum(_image(source, facts, target, name, frame, left_out) for name in target.cameras)
-    if not scans + images:
+    if not scans.written + images:
         raise DataError(
             f"{scene.root}: expected a scan or an image that can be used, found none: "
             f"{' | '.join(left_out)!s:.600}"
+        )
+    # Without them the drive would be one of cameras alone, which nothing downstream doubts.
+    if scans.refused and not scans.written:
+        raise DataError(
+            f"{scene.root}: expected a scan that can be used, found none: {scans.refused}; correct the "
+            "scans, or move them away where images alone are wanted"
         )
     boxes = source.boxes()
     left_out += [f"box: {words}" for words in boxes.left_out]
@@ -113,7 +129,7 @@ def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[s
     notes += [f"times: {facts.times.source}"] if facts.times.is_assumed else []
     notes += [*facts.calibration.notes, *facts.notes, *boxes.notes, *target.notes, *_held_out(scene)[1]]
     done = Imported(
-        folder=folder, scans=scans, images=images, frames=len(facts.poses), left_out=tuple(left_out),
+        folder=folder, scans=scans.written, images=images, frames=len(facts.poses), left_out=tuple(left_out),
         notes=tuple(notes),
     )  # fmt: skip
     _write_log(folder, scene, layout, target, done)
@@ -131,19 +147,26 @@ def _some_scans_m(source: AbstractDrive) -> list[np.ndarray]:
 
 
 def _scan(
-    source: AbstractDrive, facts: DriveFacts, target: AbstractTarget, frame: int, left_out: list[str]
-) -> int:
+    source: AbstractDrive,
+    facts: DriveFacts,
+    target: AbstractTarget,
+    frame: int,
+    scans: _Scans,
+    left_out: list[str],
+) -> None:
     if not facts.has_scans:
-        return 0
+        return
     try:
         found = source.find_scan(frame)
         if found is None:
-            raise DataError(f"no scan file {source.scan_name(frame)}")
+            left_out.append(f"scan {frame}: no scan file {source.scan_name(frame)}")
+            return
         target.write_scan(frame, source.parse_scan(found))
     except DataError as error:
         left_out.append(f"scan {frame}: {error}")
-        return 0
-    return 1
+        scans.refused = scans.refused or left_out[-1]
+        return
+    scans.written += 1
 
 
 def _image(

@@ -26,6 +26,7 @@ from nvsf_core.drives.plain.writer import (
     write_plain_scan,
     write_poses,
 )
+from nvsf_core.errors import DataError
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import pose_of_angles
 from nvsf_core.stages.imports.convert import import_drive
@@ -114,6 +115,23 @@ def test_recorded_times_are_not_assumed_after_an_import(tmp_path):
     scene = _write(tmp_path / "in", path_s, range(FRAMES), None)
     import_drive(scene, tmp_path / "out", progress=lambda line: None)
     assert not drive_of(whole_drive(tmp_path / "out", "plain")).times().is_assumed
+
+
+def test_a_drive_none_of_whose_scans_can_be_used_is_refused_with_the_first_reason(tmp_path):
+    path_s = BEGIN_S + STEP_S * np.arange(FRAMES)
+    scene = _write(tmp_path / "in", path_s, range(FRAMES), None)
+    for path in PlainLayout(tmp_path / "in").scans_dir.iterdir():
+        rows = np.fromfile(path, "<f4").reshape(-1, 4)
+        (rows * np.float32([1, 1, 1, 255])).tofile(path)
+    with pytest.raises(DataError, match=r"found none: scan 2: .*bin: expected intensities 0 to 1"):
+        import_drive(scene, tmp_path / "out", progress=lambda line: None)
+    assert not (tmp_path / "out").exists()
+    # One of them is enough; and a section that has no scan at all is one of cameras.
+    write_plain_scan(PlainLayout(tmp_path / "in"), 5, Scan(np.full((9, 4), 0.5, np.float32), 0))
+    assert import_drive(scene, tmp_path / "one", progress=lambda line: None).scans == 1
+    only = replace(scene, first_frame=6, last_frame=6)
+    PlainLayout(tmp_path / "in").scan_path(6).unlink()
+    assert import_drive(only, tmp_path / "none", progress=lambda line: None).images == 1
 
 
 def _on_clock(root: Path, begin_s: float, points_s: np.ndarray | None) -> SceneEntry:
