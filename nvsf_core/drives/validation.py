@@ -11,6 +11,7 @@ from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.boxes import STATIC_FRAME, Box
 from nvsf_core.drives.kitti360.calibration import Calibration
 from nvsf_core.drives.kitti360.frames import FrameTimes, PoseDisagreement
+from nvsf_core.drives.kitti360.scans import notes_on_brightest
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.se3 import exp_so3, pose_from_parts
 
@@ -39,6 +40,8 @@ class FrameRow:
     """Number of usable returns."""
     n_dropped: int
     """Number of absurd points that were left out."""
+    brightest: float
+    """Intensity of the scan's brightest return, 0..1; 0 without a usable scan."""
 
     @property
     def pose_valid(self) -> bool:
@@ -114,6 +117,7 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
     scene_to_world = _scene_to_world(frames)
     boxes, left_out = _usable_boxes(labelled, scene_to_world[:3, 3])
     notes = [*calibration.notes, *boxes.notes, *facts.notes]
+    notes += notes_on_brightest(max(row.brightest for row in frames))
     if calibration.lidar_is_assumed:
         notes.append("no LiDAR mounting (camera-only drive): lidar_to_world is the pose frame, turned z up")
     return Drive(
@@ -135,7 +139,7 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
 def _frame_row(source: AbstractDrive, facts: DriveFacts, frame: int, time_s: float) -> FrameRow:
     pose = facts.poses.get(frame)
     reasons = [] if pose is not None else [f"no pose in {facts.poses_place.name}"]
-    checksum, n_returns, n_dropped = "", 0, 0
+    checksum, n_returns, n_dropped, brightest = "", 0, 0, 0.0
     if not facts.has_scans:
         reasons.append("camera-only drive")
     else:
@@ -147,6 +151,7 @@ def _frame_row(source: AbstractDrive, facts: DriveFacts, frame: int, time_s: flo
                 checksum = found.checksum
                 scan = source.parse_scan(found)
                 n_returns, n_dropped = len(scan.points), scan.n_absurd
+                brightest = float(scan.points[:, 3].max())
         except DataError as error:
             reasons.append(str(error))
     return FrameRow(
@@ -159,6 +164,7 @@ def _frame_row(source: AbstractDrive, facts: DriveFacts, frame: int, time_s: flo
         checksum=checksum,
         n_returns=n_returns,
         n_dropped=n_dropped,
+        brightest=brightest,
     )
 
 

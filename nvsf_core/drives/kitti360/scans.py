@@ -17,6 +17,8 @@ MOST_RETURNS = 2 * 128 * 4096
 """Most returns of a sweep: two of each of 128 lasers at each of 4096 columns, the largest there is."""
 
 _BYTES_PER_RETURN = 16
+_LEAST_BRIGHTEST = 0.02
+"""Intensity of a drive's brightest return: signs and number plates of any street shine back far more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,20 @@ def usable_scan(
         ring=None if ring is None else ring[usable].astype(np.int64),
         offset_s=None if offset_s is None else offset_s[usable].astype(np.float64),
     )
+
+
+def notes_on_brightest(intensity: float) -> list[str]:
+    """A note where the brightest return of a drive, 0..1, tells that intensities are of a smaller scale.
+
+    Where none is above 0 they are not recorded, which is no error.
+    """
+    if not 0.0 < intensity < _LEAST_BRIGHTEST:
+        return []
+    return [
+        f"the brightest return of all scans has an intensity of {intensity:.2g}, expected "
+        f"{_LEAST_BRIGHTEST:g} to 1: another scale? What is rendered will be as dark; where intensity_max "
+        "of drive.json is too large, correct it"
+    ]
 
 
 def write_scan(path: Path, points_m: np.ndarray, intensity: np.ndarray) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from nvsf_core.drives.drive import AbstractDrive, DriveFacts, drive_of, require_outside
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kinds import MOST_FRAMES
+from nvsf_core.drives.kitti360.scans import notes_on_brightest
 from nvsf_core.drives.posed import AbstractPosedDrive
 from nvsf_core.errors import DataError
 from nvsf_core.sensors.lasers import is_unlike
@@ -54,6 +55,8 @@ class _Scans:
     """What became of the section's scans."""
 
     written: int = 0
+    brightest: float = 0.0
+    """Intensity of the brightest return of all, 0..1."""
     refused: str = ""
     """Why the first one that is there cannot be used; empty = none was refused."""
 
@@ -127,6 +130,7 @@ def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[s
     target.finish(boxes.boxes)
     left_out += target.left_out
     notes += [f"times: {facts.times.source}"] if facts.times.is_assumed else []
+    notes += notes_on_brightest(scans.brightest)
     notes += [*facts.calibration.notes, *facts.notes, *boxes.notes, *target.notes, *_held_out(scene)[1]]
     done = Imported(
         folder=folder, scans=scans.written, images=images, frames=len(facts.poses), left_out=tuple(left_out),
@@ -161,12 +165,14 @@ def _scan(
         if found is None:
             left_out.append(f"scan {frame}: no scan file {source.scan_name(frame)}")
             return
-        target.write_scan(frame, source.parse_scan(found))
+        scan = source.parse_scan(found)
+        target.write_scan(frame, scan)
     except DataError as error:
         left_out.append(f"scan {frame}: {error}")
         scans.refused = scans.refused or left_out[-1]
         return
     scans.written += 1
+    scans.brightest = max(scans.brightest, float(scan.points[:, 3].max()))
 
 
 def _image(

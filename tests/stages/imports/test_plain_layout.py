@@ -26,6 +26,7 @@ from nvsf_core.drives.plain.writer import (
     write_plain_scan,
     write_poses,
 )
+from nvsf_core.drives.validation import read_drive
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.geometry.se3 import pose_of_angles
@@ -132,6 +133,23 @@ def test_a_drive_none_of_whose_scans_can_be_used_is_refused_with_the_first_reaso
     only = replace(scene, first_frame=6, last_frame=6)
     PlainLayout(tmp_path / "in").scan_path(6).unlink()
     assert import_drive(only, tmp_path / "none", progress=lambda line: None).images == 1
+
+
+@pytest.mark.parametrize("brightest", [0.5, 0.03, 0.5 / 255, 0.0])
+def test_intensities_of_a_smaller_scale_are_noted_by_the_import_and_by_the_drive(tmp_path, brightest):
+    path_s = BEGIN_S + STEP_S * np.arange(FRAMES)
+    scene = _write(tmp_path / "in", path_s, range(FRAMES), None)
+    for path in PlainLayout(tmp_path / "in").scans_dir.iterdir():
+        rows = np.fromfile(path, "<f4").reshape(-1, 4)
+        rows[:, 3] = np.linspace(0.0, 255.0 * brightest, len(rows))
+        rows.tofile(path)
+    (tmp_path / "in/drive.json").write_text('{"lidar": "VLP-16", "intensity_max": 255}')
+    done = import_drive(scene, tmp_path / "out", progress=lambda line: None)
+    (imported,) = load_catalogue([tmp_path / "out/scenes.toml"], None)
+    words = "the brightest return of all scans has an intensity of 0.002, expected 0.02 to 1"
+    expected = [words] if brightest == 0.5 / 255 else []
+    for notes in (done.notes, *(read_drive(one, str).notes for one in (scene, imported))):
+        assert [note.partition(":")[0] for note in notes if "brightest" in note] == expected
 
 
 def _on_clock(root: Path, begin_s: float, points_s: np.ndarray | None) -> SceneEntry:
