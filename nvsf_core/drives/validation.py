@@ -10,7 +10,7 @@ from nvsf_core.drives.drive import AbstractDrive, Boxes, DriveFacts, drive_of
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.boxes import STATIC_FRAME, Box
 from nvsf_core.drives.kitti360.calibration import Calibration
-from nvsf_core.drives.kitti360.frames import FrameTimes, PoseDisagreement
+from nvsf_core.drives.kitti360.frames import UNLIKE, FrameTimes, PoseDisagreement
 from nvsf_core.drives.kitti360.scans import notes_on_brightest
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.se3 import exp_so3, pose_from_parts
@@ -100,12 +100,13 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
     Raises:
         CalibrationError: A calibration file is absent, or a key is missing or damaged.
         DataError: A line of poses or times cannot be read, no scan or image of the section can be used, or
-            see `AbstractDrive.unread`.
+            see `AbstractDrive.unread` and `require_sweep_within_step`.
     """
     source = drive_of(entry)
     # First: what else seems to lack may have another name.
     unread = source.unread()
     facts = source.facts()
+    require_sweep_within_step(source, facts)
     calibration, times = facts.calibration, facts.times
     frames, images = [], []
     for index, frame in enumerate(source.frames):
@@ -134,6 +135,44 @@ def read_drive(entry: SceneEntry, progress: Callable[[str], None]) -> Drive:
         notes=tuple(notes),
         unread=tuple(unread),
     )
+
+
+def require_sweep_within_step(source: AbstractDrive, facts: DriveFacts) -> None:
+    """Refuse a given `sweep_period_s` that is longer than from one scan to the next.
+
+    A LiDAR ends a sweep before it begins another: returns would be moved by a way that nobody drove. Allowed
+    is what the recording's own times show, as of data sets that were rendered at a higher rate.
+
+    Raises:
+        DataError: It is longer; the message says by how much.
+    """
+    scene, times = source.scene, facts.times
+    given_s = scene.sweep_period_s
+    if given_s is None or not facts.has_scans or times.is_assumed or not scene.is_to_compensate:
+        return
+    if not _is_longer(given_s, times.time_s):
+        return
+    own_s = drive_of(replace(scene, sweep_period_s=None)).times().sweep_period_s
+    # Frames may also be images' alone, at a higher rate than the scans'.
+    there = [_has_scan(source, frame) for frame in source.frames]
+    if given_s > (1.0 + UNLIKE) * own_s and _is_longer(given_s, times.time_s[there]):
+        raise DataError(
+            f"scene {scene.name}: sweep_period_s: expected at most the time from one scan to the next, "
+            f"{np.median(np.diff(times.time_s[there])):.4g} s in the median, found {given_s:g}; correct it, "
+            "or leave it out"
+        )
+
+
+def _is_longer(given_s: float, time_s: np.ndarray) -> bool:
+    """Whether a sweep is longer than the median step of these times (n,); False where there is no step."""
+    return len(time_s) > 1 and given_s > (1.0 + UNLIKE) * float(np.median(np.diff(time_s)))
+
+
+def _has_scan(source: AbstractDrive, frame: int) -> bool:
+    try:
+        return source.find_scan(frame) is not None
+    except DataError:  # It is there; where the frame itself is read, it is named.
+        return True
 
 
 def _frame_row(source: AbstractDrive, facts: DriveFacts, frame: int, time_s: float) -> FrameRow:

@@ -17,6 +17,7 @@ from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kinds import MOST_FRAMES
 from nvsf_core.drives.kitti360.scans import notes_on_brightest
 from nvsf_core.drives.posed import AbstractPosedDrive
+from nvsf_core.drives.validation import require_sweep_within_step
 from nvsf_core.errors import DataError
 from nvsf_core.sensors.lasers import is_unlike
 from nvsf_core.sensors.tables import HDL_64E
@@ -99,6 +100,7 @@ def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[s
         source.given_path, words = found_path(source, progress)
         notes.append(words)
     facts = source.facts()
+    require_sweep_within_step(source, facts)
     # A file of poses may be of the whole drive.
     own = {frame: pose for frame, pose in facts.poses.items() if frame in source.frames}
     facts = replace(facts, poses=own)

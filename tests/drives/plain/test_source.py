@@ -19,6 +19,7 @@ from nvsf_core.drives.plain.writer import (
 from nvsf_core.drives.validation import read_drive
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.stages.imports.convert import import_drive
 from tests.drives.copies import FRAMES, scene_at
 
 POINTS = 600
@@ -63,6 +64,23 @@ def test_key_frames_have_the_sweep_that_their_points_times_show(tmp_path):
     facts = _facts(tmp_path)
     assert facts.times.sweep_period_s == pytest.approx(0.05, rel=1e-3)
     assert any(note.startswith("a sweep lasts 0.05 s") for note in facts.notes)
+
+
+def test_a_given_sweep_that_outlasts_the_step_between_scans_is_refused(tmp_path):
+    layout = _write(tmp_path / "bare", 0.05, None)
+    words = r"sweep_period_s: expected at most .* 0\.05 s in the median, found 0\.1; correct it, or leave"
+    given = {"sweep_period_s": 0.1, "root": layout.root, "kind": "plain"}
+    with pytest.raises(DataError, match=words):
+        read_drive(scene_at(**given), str)
+    with pytest.raises(DataError, match=words):
+        import_drive(scene_at(**given), tmp_path / "out", progress=str)
+    read_drive(scene_at(**given, compensate=False), str)  # of instants, as our own exports may be
+    _write(tmp_path / "stamped", 0.05, 0.1)
+    assert read_drive(scene_at(**{**given, "root": tmp_path / "stamped"}), str).times.sweep_period_s == 0.1
+    # Every second frame is an image's alone.
+    for frame in range(1, FRAMES, 2):
+        layout.scan_path(frame).unlink()
+    assert read_drive(scene_at(**given), str).times.sweep_period_s == 0.1
 
 
 @pytest.mark.parametrize("sweep_s", [0.1, 0.1037, None])
