@@ -17,6 +17,8 @@ MOST_RETURNS = 2 * 128 * 4096
 """Most returns of a sweep: two of each of 128 lasers at each of 4096 columns, the largest there is."""
 
 _BYTES_PER_RETURN = 16
+_REMEDIES = ("", "give points in metres, in the sensor's own frame, or ", "scale intensities to 0..1, or ")
+"""Against points that are not finite, too far, or too bright."""
 _LEAST_BRIGHTEST = 0.02
 """Intensity of a drive's brightest return: signs and number plates of any street shine back far more."""
 
@@ -81,11 +83,11 @@ def usable_scan(
     absurd = ~(finite & in_reach & plausible) & ~empty
     n_absurd, n_rows = int(absurd.sum()), len(points)
     if n_absurd > MAX_ABSURD_SHARE * n_rows:
+        counts = [int(one.sum()) for one in (~finite, finite & ~in_reach, finite & in_reach & ~plausible)]
         raise DataError(
-            f"{path}: {n_absurd} of {n_rows} returns are absurd ({int((~finite).sum())} not finite, "
-            f"{int((finite & ~in_reach).sum())} beyond {MAX_RANGE_M:.0f} m, "
-            f"{int((finite & in_reach & ~plausible).sum())} with reflectance outside 0..1), "
-            f"expected at most {MAX_ABSURD_SHARE:.0%}; copy it again"
+            f"{path}: {n_absurd} of {n_rows} returns are absurd ({counts[0]} not finite, {counts[1]} beyond "
+            f"{MAX_RANGE_M:.0f} m, {counts[2]} with reflectance outside 0..1), expected at most "
+            f"{MAX_ABSURD_SHARE:.0%}; {_REMEDIES[int(np.argmax(counts))]}copy it again where it is damaged"
         )
     usable = ~(absurd | empty)
     if not usable.any():

@@ -49,6 +49,22 @@ def test_more_than_one_percent_of_absurd_returns_spoil_the_scan(tmp_path: Path) 
         load_scan(written(tmp_path / "eleven.bin", points))
 
 
+@pytest.mark.parametrize(
+    ("scale", "remedy"),
+    [
+        ([1e3, 1e3, 1e3, 1], "; give points in metres, in the sensor's own frame, or copy it again where it"),
+        ([1, 1, 1, 255], "; scale intensities to 0..1, or copy it again where it is damaged"),
+        ([np.nan, 1, 1, 1], "; copy it again where it is damaged"),
+    ],
+)
+def test_a_scan_of_absurd_returns_is_refused_with_what_mends_it(
+    tmp_path: Path, scale: list[float], remedy: str
+) -> None:
+    with pytest.raises(DataError) as refused:
+        load_scan(written(tmp_path / "a.bin", plausible() * np.float32(scale)))
+    assert remedy in str(refused.value)
+
+
 @pytest.mark.parametrize("sensor", SENSOR_TABLES)
 def test_returns_as_far_as_a_known_lidar_sees_are_usable(tmp_path: Path, sensor: str) -> None:
     points = plausible()
