@@ -16,8 +16,10 @@ _NUMBERS = ("frame", "object_id", "dynamic", *_PLACE, *_QUATERNION, *_SIZE)
 _MOST_ID = 2**31 - 1
 
 
-def read_box_table(path: Path, frames: range) -> tuple[list[Box], list[str]]:
+def read_box_table(path: Path, frames: range, drive: range) -> tuple[list[Box], list[str]]:
     """Boxes of `boxes.csv` that are static or of these frames, and a reason for each that was left out.
+
+    Those of other frames of the whole `drive` are passed over.
 
     A row is `frame` (-1 = static), `object_id`, `label`, `dynamic` (0, 1), the middle's `x, y, z, qx, qy, qz,
     qw` in the world, and `length, width, height` in metres. A drive is trained without its boxes, so a row
@@ -37,7 +39,7 @@ def read_box_table(path: Path, frames: range) -> tuple[list[Box], list[str]]:
     left_out: list[str] = []
     for number, cells in rows:
         try:
-            box = _box(_by_name(names, cells), frames)
+            box = _box(_by_name(names, cells), frames, drive)
         except ValueError as error:
             left_out.append(f"line {number} of {path.name}: {error}")
             continue
@@ -51,14 +53,19 @@ def _by_name(names: list[str], cells: list[str]) -> dict[str, str]:
     return dict(zip(names, cells, strict=True))
 
 
-def _box(row: Mapping[str, str], frames: range) -> Box | None:
-    """The box of a row; None if it is of another frame.
+def _box(row: Mapping[str, str], frames: range, drive: range) -> Box | None:
+    """The box of a row; None if it is of another frame of the drive.
 
     Raises:
         ValueError: A cell is not what its column holds; the message names the column.
     """
     frame = _whole(row, "frame", STATIC_FRAME, 10**10 - 1)
     if frame != STATIC_FRAME and frame not in frames:
+        if frame not in drive:
+            raise ValueError(
+                f"frame: expected {STATIC_FRAME}, or one of the drive's, {drive.start} to {drive.stop - 1}, "
+                f"found {frame}"
+            )
         return None
     object_id, dynamic = _whole(row, "object_id", 0, _MOST_ID), _whole(row, "dynamic", 0, 1)
     place_m = np.array([_number(row, name) for name in _PLACE])

@@ -55,6 +55,11 @@ class PlainDrive(AbstractPosedDrive):
         return {name: numbered_files(self.layout.images_dir(name), IMAGE_KINDS) for name in names}
 
     @cached_property
+    def _recorded(self) -> set[int]:
+        """Frames of the whole drive that have a scan or an image."""
+        return {*self._scans, *(frame for files in self._images.values() for frame in files)}
+
+    @cached_property
     def _description(self) -> Description:
         return read_description(self.layout.drive_path)
 
@@ -77,13 +82,12 @@ class PlainDrive(AbstractPosedDrive):
         ]  # fmt: skip
         folders = [layout.scans_dir, *(layout.images_dir(name) for name in self._images)]
         gaps = [f"scans/{frame:010d}" for frame in self.frames if self._scans and frame not in self._scans]
-        everything = sorted({*self._scans, *(frame for files in self._images.values() for frame in files)})
         return Section(
             files=tuple(path for path in (*tables, *scans, *beside, *images) if lexists(path)),
             folders=tuple(folder for folder in folders if folder.is_dir()),
             missing=() if lexists(layout.poses_path) else (layout.poses_path.name,),
             gaps=tuple(gaps),
-            recorded=(everything[0], everything[-1]) if everything else None,
+            recorded=(min(self._recorded), max(self._recorded)) if self._recorded else None,
         )
 
     def unread(self) -> list[str]:
@@ -252,7 +256,9 @@ class PlainDrive(AbstractPosedDrive):
         """`boxes.csv`."""
         if not lexists(self.layout.boxes_path):
             return Boxes()
-        boxes, left_out = read_box_table(self.layout.boxes_path, self.frames)
+        named = {*self._seconds, *self._recorded}
+        whole = range(min(named, default=0), max(named, default=-1) + 1)
+        boxes, left_out = read_box_table(self.layout.boxes_path, self.frames, whole)
         return Boxes(tuple(boxes), tuple(left_out))
 
 

@@ -241,3 +241,19 @@ def test_an_image_that_its_cameras_times_do_not_name_is_left_out(tmp_path):
     assert [row.image_valid for row in rows] == [True, False, True, False]
     assert "times.csv: expected the time of 0000000001.png, found none of frame 1" in rows[1].reason
     assert "no image file" in rows[3].reason
+
+
+def test_boxes_of_frames_that_the_drive_has_not_are_named_and_those_of_other_sections_are_not(tmp_path):
+    layout = _write(tmp_path, 0.1, None)
+    rows = [f"{frame},7,car,1,10,2,0,0,0,0,1,4,2,1.5" for frame in (1, FRAMES - 1, 1001)]
+    head = "frame,object_id,label,dynamic,x,y,z,qx,qy,qz,qw,length,width,height"
+    layout.boxes_path.write_text("\n".join([head, *rows]))
+    found = drive_of(scene_at(tmp_path, "plain", last_frame=FRAMES - 2)).boxes()
+    assert [box.frame for box in found.boxes] == [1]
+    assert found.left_out == (
+        f"line 4 of boxes.csv: frame: expected -1, or one of the drive's, 0 to {FRAMES - 1}, found 1001",
+    )
+    # The table of poses says so, too.
+    for frame in range(FRAMES):
+        layout.scan_path(frame).unlink()
+    assert drive_of(scene_at(tmp_path, "plain")).boxes().left_out == found.left_out

@@ -17,13 +17,13 @@ GOOD = "0,7,Car,1,10,2,0,0,0,0,1,4,2,1.5"
 def test_a_drive_without_objects_has_a_table_of_boxes_without_rows(tmp_path):
     columns = "frame,object_id,label,dynamic,x,y,z,qx,qy,qz,qw,length,width,height"
     (tmp_path / "boxes.csv").write_text(columns + "\n")
-    assert read_box_table(tmp_path / "boxes.csv", range(4)) == ([], [])
+    assert read_box_table(tmp_path / "boxes.csv", range(4), range(4)) == ([], [])
     (tmp_path / "boxes.csv").write_text("frame,object_id\n")
     with pytest.raises(DataError, match="label"):
-        read_box_table(tmp_path / "boxes.csv", range(4))
+        read_box_table(tmp_path / "boxes.csv", range(4), range(4))
     (tmp_path / "boxes.csv").write_text("")
     with pytest.raises(DataError, match="found 0 rows"):
-        read_box_table(tmp_path / "boxes.csv", range(4))
+        read_box_table(tmp_path / "boxes.csv", range(4), range(4))
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_a_bad_box_is_left_out_by_line_and_column_and_the_others_are_read(
     path.write_text(
         "\n".join(["# of a labeller", COLUMNS, GOOD, "", bad, GOOD.replace("0,7", "9,8", 1), GOOD])
     )
-    boxes, left_out = read_box_table(path, range(4))
+    boxes, left_out = read_box_table(path, range(4), range(10))
     assert [(box.frame, box.object_id, box.label) for box in boxes] == [(0, 7, "Car")] * 2
     assert np.allclose(boxes[0].box_to_world[:3, 3], [10.0, 2.0, 0.0])
     (words,) = left_out
