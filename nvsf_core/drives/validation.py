@@ -262,16 +262,26 @@ def _scene_to_world(frames: list[FrameRow]) -> np.ndarray:
 
 
 def _usable_boxes(found: Boxes, origin_m: np.ndarray) -> tuple[Boxes, list[str]]:
-    """The boxes near the section, one of an object in a frame, and a reason for each of the others."""
+    """The boxes near the section, one of an object in a frame, and a reason for each of the others.
+
+    A static box is one of its object in every frame; a static object may have several.
+    """
     usable, left_out = [], []
-    count = Counter((box.frame, box.object_id) for box in found.boxes if box.frame != STATIC_FRAME)
+    count = Counter((box.frame, box.object_id) for box in found.boxes)
+    in_frames = {object_id for frame, object_id in count if frame != STATIC_FRAME}
     for box in found.boxes:
-        place, times = f"object {box.object_id} in frame {box.frame}", count[box.frame, box.object_id]
+        number, is_static = box.object_id, box.frame == STATIC_FRAME
+        place = f"object {number} in {'every frame (-1)' if is_static else f'frame {box.frame}'}"
+        times = 1 if is_static else count[box.frame, number] + count[STATIC_FRAME, number]
         if np.linalg.norm(box.box_to_world[:3, 3] - origin_m) > _FARTHEST_BOX_M:
             left_out.append(f"{place}: more than {_FARTHEST_BOX_M:g} m away")
         elif times > 1:
             # It is at one place at a time, and nothing says at which.
             left_out.append(f"{place}: expected one box, found {times}")
+        elif is_static and number in in_frames:
+            left_out.append(f"{place}: expected no boxes of single frames beside it, found some")
+        elif is_static and box.dynamic:
+            left_out.append(f"{place}: expected a static object, found a dynamic one")
         else:
             usable.append(box)
     return replace(found, boxes=tuple(usable)), left_out

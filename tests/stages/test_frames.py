@@ -5,11 +5,13 @@ import cv2
 import numpy as np
 import pytest
 
+from nvsf_core.demo.drive import DemoSize, write_demo
 from nvsf_core.drives.catalogue import SceneEntry, load_catalogue
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.drives.kitti360.writer import write_frame_poses
 from nvsf_core.drives.plain.layout import PlainLayout
 from nvsf_core.drives.plain.writer import write_image_times
+from nvsf_core.drives.validation import read_drive
 from nvsf_core.errors import CheckFailedError, DataError
 from nvsf_core.geometry.se3 import pose_from_parts, pose_of_angles
 from nvsf_core.recipe.presets import preset
@@ -21,6 +23,7 @@ from nvsf_core.stages.runner.stage import Outcome, RunConfig
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
 from tests.conftest import SHARED
+from tests.drives.copies import tiny_scene
 
 REAL = SHARED / "data" / "scenes.toml"
 FRAMES = range(10, 16)
@@ -161,6 +164,8 @@ def test_an_object_that_is_at_two_places_in_a_frame_is_left_out_there_and_named(
         (11, 8, 1020.0),
         (-1, 9, 990.0),
         (-1, 9, 980.0),
+        (-1, 6, 970.0),
+        (13, 6, 970.0),
     )
     for frame, object_id, x_m in places:
         of_box.append(f"{frame},{object_id},car,{int(frame >= 0)},{x_m},3705,110,0,0,0,1,4,2,1.5")
@@ -168,11 +173,21 @@ def test_an_object_that_is_at_two_places_in_a_frame_is_left_out_there_and_named(
     (entry,) = load_catalogue([tmp_path / "plain/scenes.toml"], None)
     outcome = run(entry, tmp_path / "home")
     (found,) = [check for check in outcome.checks if check.name == "all_boxes_are_usable"]
-    assert not found.passed and found.detail.startswith(
-        "2 boxes left out: object 7 in frame 11: expected one"
-    )
+    twice = ["object 7 in frame 11: expected one box, found 2"] * 2
+    static = "object 6 in every frame (-1): expected no boxes of single frames beside it, found some"
+    words = [*twice, static, "object 6 in frame 13: expected one box, found 2"]
+    assert not found.passed and found.detail == f"4 boxes left out: {'; '.join(words)}"
     kept = [(row["frame"], row["object_id"]) for row in read_rows(outcome.path / "boxes.parquet")]
     assert sorted(kept) == [(-1, 9), (-1, 9), (11, 8), (12, 7)]
+
+
+def test_a_static_box_that_is_said_to_move_is_left_out_and_named(tmp_path: Path) -> None:
+    write_demo(tmp_path, size=DemoSize.tiny())
+    (path,) = (tmp_path / "data_3d_bboxes").rglob("*.xml")
+    static = "<timestamp>-1</timestamp>\n  <dynamic>{}</dynamic>"
+    path.write_text(path.read_text().replace(static.format(0), static.format(1), 1))
+    (words,) = read_drive(tiny_scene(tmp_path), str).boxes_left_out
+    assert words.endswith("in every frame (-1): expected a static object, found a dynamic one")
 
 
 def test_a_lidar_only_drive_passes(tmp_path: Path) -> None:

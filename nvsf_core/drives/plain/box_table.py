@@ -68,6 +68,8 @@ def _box(row: Mapping[str, str], frames: range, drive: range) -> Box | None:
             )
         return None
     object_id, dynamic = _whole(row, "object_id", 0, _MOST_ID), _whole(row, "dynamic", 0, 1)
+    if frame == STATIC_FRAME and dynamic:
+        raise ValueError(f"dynamic: expected 0 of a static box (frame {STATIC_FRAME}), found 1")
     place_m = np.array([_number(row, name) for name in _PLACE])
     if np.abs(place_m).max() > FARTHEST_M:
         raise ValueError(f"x, y, z: expected a place within {FARTHEST_M:g} m, found {place_m.tolist()}")

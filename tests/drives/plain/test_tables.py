@@ -35,6 +35,7 @@ def test_a_drive_without_objects_has_a_table_of_boxes_without_rows(tmp_path):
         ("0,-7,Car,1,10,2,0,0,0,0,1,4,2,1.5", "object_id: expected a whole number 0 to"),
         ("0.5,7,Car,1,10,2,0,0,0,0,1,4,2,1.5", "frame: expected a whole number -1 to"),
         ("0,7,Car,yes,10,2,0,0,0,0,1,4,2,1.5", "dynamic: expected a finite number, found 'yes'"),
+        ("-1,7,Car,1,10,2,0,0,0,0,1,4,2,1.5", "dynamic: expected 0 of a static box (frame -1), found 1"),
         ("0,7,Car,1,10,2,0,0,0,0,1,4,2,0", "length, width, height: expected 1 mm to 1 km"),
         ("0,7,Car,1,10,2,0", "expected 14 cells, found 7"),
     ],
