@@ -36,40 +36,45 @@ def surface_normals(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
 
 def ground_normals(
     clouds_m: Sequence[np.ndarray], lidar_to_scene: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The ground's normal below some scans, evenly chosen: what most surfaces near the LiDAR face.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The ground's normal around some scans, evenly chosen: what most surfaces near the LiDAR face.
 
     Args:
         clouds_m: For each of n scans (N, 3) scene-local metres, thinned.
         lidar_to_scene: (n, 4, 4) poses of the scans.
 
     Returns:
-        Unit normals (k, 3), scene axes, and the scans (k,) they are of: only those where ground is seen.
+        Unit normals (k, 3) towards the scene's z, scene axes; the scans (k,) they are of, only those where
+        ground is seen; and the share (k,) of its surfaces that lie on the LiDAR's lower side by that normal.
     """
     n = len(clouds_m)
     chosen = np.unique(np.linspace(0, n - 1, min(_MOST_SCANS, n)).astype(np.int64))
-    found = {}
+    found, below = {}, []
     for k in chosen.tolist():
         around_m = np.concatenate(clouds_m[max(0, k - _SCANS_AROUND) : k + _SCANS_AROUND + 1])
-        near = np.linalg.norm(around_m - lidar_to_scene[k, :3, 3], axis=1) < _NEAR_M
-        _, *facing = surface_normals(around_m[near])
-        normal = _most_common(*facing)
-        if normal is not None:
-            found[k] = normal
-    return np.array(list(found.values())).reshape(-1, 3), np.array(list(found), np.int64)
+        from_lidar_m = around_m - lidar_to_scene[k, :3, 3]
+        placed_m, *facing = surface_normals(from_lidar_m[np.linalg.norm(from_lidar_m, axis=1) < _NEAR_M])
+        ground = _most_common(placed_m, *facing)
+        if ground is not None:
+            found[k], share = ground
+            below.append(share)
+    return np.array(list(found.values())).reshape(-1, 3), np.array(list(found), np.int64), np.array(below)
 
 
-def _most_common(normals: np.ndarray, is_flat: np.ndarray) -> np.ndarray | None:
-    """(3,) upwards: what half of the flat surfaces but walls face within 5 degrees; None = nothing."""
+def _most_common(
+    placed_m: np.ndarray, normals: np.ndarray, is_flat: np.ndarray
+) -> tuple[np.ndarray, float] | None:
+    """What half of the flat surfaces but walls face within 5 degrees: (3,) upwards, and the share below 0."""
     upward = normals * np.where(normals[:, 2:] < 0.0, -1.0, 1.0)
-    upward = upward[is_flat & (upward[:, 2] > _STEEPEST_COS)]
-    if len(upward) < _FEWEST_NORMALS:
+    is_level = is_flat & (upward[:, 2] > _STEEPEST_COS)
+    if np.count_nonzero(is_level) < _FEWEST_NORMALS:
         return None
-    upward = upward[:: -(-len(upward) // _MOST_NORMALS)]
+    step = -(-np.count_nonzero(is_level) // _MOST_NORMALS)
+    upward, placed_m = upward[is_level][::step], placed_m[is_level][::step]
     is_alike = upward @ upward.T > _ALIKE_COS
     best = is_alike[is_alike.sum(axis=1).argmax()]
     if best.mean() < _LEAST_SHARE:
         return None
     mean = upward[best].mean(axis=0)
     normal: np.ndarray = mean / np.linalg.norm(mean)
-    return normal
+    return normal, float(np.mean(placed_m[best] @ normal < 0.0))

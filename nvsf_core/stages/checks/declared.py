@@ -44,8 +44,8 @@ UPRIGHT_CHECK = NamedCheck(
     name="z_is_up",
     description="The normal of the ground below the LiDAR, in the mean of some scans, against the poses' z "
     "and the LiDAR's. Value: the smaller angle, because on a hill the LiDAR stands as the ground lies; the "
-    "LiDAR's where over 90 degrees: upside down. More says that poses are in the frame of a tilted sensor; "
-    "but heights above ground are taken along z.",
+    "larger where over 90 degrees: upside down, or scans whose z points down. More says that poses are in "
+    "the frame of a tilted sensor; but heights above ground are taken along z.",
 )
 MOST_UNLIKE = 3.0
 """Measured: at most 0.4 in real streets, 1.6 on bare ground; from 3.5 for wrong mountings in real streets."""

@@ -42,6 +42,22 @@ def test_quaternions_in_another_order_and_inverted_poses_are_told(heading_deg):
     assert "inverted" in other_reading(points_m, np.linalg.inv(poses))
 
 
+@pytest.mark.parametrize(
+    ("axes", "words"),
+    [([1.0, -1.0, 1.0], "y points right: write"), ([1.0, -1.0, -1.0], "y points right, their z down: write")],
+    ids=["left-handed", "z down"],
+)  # fmt: skip
+def test_scans_of_other_axes_are_told_where_the_drive_bends(axes, words):
+    points_m, poses = _drive(bend(80.0, 32), 40.0)
+    # Pitch of the vehicle: motion on a plane is the same whichever way z points.
+    pitch = Rotation.from_euler("y", np.array([0.0, 2.0, 4.0, 3.0, 1.0, -1.0])[:, None], degrees=True)
+    turned = pitch.as_matrix()
+    poses[:, :3, :3] = poses[:, :3, :3] @ turned
+    points_m = [one @ turn for one, turn in zip(points_m, turned, strict=True)]
+    assert other_reading(points_m, poses) == ""
+    assert words in other_reading([one * axes for one in points_m], poses)
+
+
 def test_right_poses_in_a_tunnel_that_bends_and_noisy_ones_are_read_as_they_are():
     assert other_reading(*_drive(bend(80.0, 32), 20.0)) == ""
     points_m, poses = _drive(hall(12.0, [0, 1, 2, 3, 4, 5]), 20.0)

@@ -49,15 +49,17 @@ def tunnel(shift_m: tuple[float, float, float]) -> dict[str, np.ndarray]:
     }
 
 
-def hall(half_length_m: float, scan_at: list[int]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Six scans, 1 m apart along a hall 6 m wide and 5 m high, and their poses; `scan_at` says where each
-    was measured, in poses.
+def hall(
+    half_length_m: float, scan_at: list[int], ceiling_m: float = 3.3
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Six scans, 1 m apart along a hall 6 m wide, floor 1.7 m below and ceiling above them, and their poses;
+    `scan_at` says where each was measured, in poses.
     """
     azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, 360), np.radians(np.linspace(-25, 15, 32)))
     azimuth, elevation = azimuth.ravel(), elevation.ravel()
     flat = np.cos(elevation)
     direction = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
-    half_m = np.where(direction > 0.0, [np.inf, 3.0, 3.3], [np.inf, 3.0, 1.7])
+    half_m = np.where(direction > 0.0, [np.inf, 3.0, ceiling_m], [np.inf, 3.0, 1.7])
     range_m = []
     for k in scan_at:
         half_m[:, 0] = half_length_m - np.sign(direction[:, 0]) * (k - 2.5)
@@ -169,10 +171,25 @@ def test_a_drive_that_stands_upside_down_is_found(turned):
     assert "upside down in the world; write quaternions as x, y, z, w" in check.detail
 
 
+@pytest.mark.parametrize("axes", [[1.0, -1.0, -1.0], [1.0, 1.0, -1.0]], ids=["y right", "y left"])
+def test_scans_whose_z_points_down_are_found(axes):
+    arrays, poses = hall(12.0, [0, 1, 2, 3, 4, 5])
+    arrays["direction"] = arrays["direction"] * axes
+    check = upright_check(arrays, poses, np.eye(4))
+    assert not check.passed and check.value == pytest.approx(180.0, abs=2.0)
+    assert "the scans' z points down: write scans as x forward, y left, z up" in check.detail
+
+
+def test_a_low_ceiling_above_the_lidar_is_not_taken_for_the_ground():
+    for ceiling_m in (0.6, 1.7, 3.3):
+        check = upright_check(*hall(12.0, [0, 1, 2, 3, 4, 5], ceiling_m), np.eye(4))
+        assert check.passed and check.value < 2.0, check.detail
+
+
 def test_without_ground_nothing_is_said_of_up():
     arrays, poses = hall(12.0, [0, 1, 2, 3, 4, 5])
     arrays["is_own_vehicle"] = arrays["direction"][:, 2] < 0.0
-    assert upright_check(arrays, poses, np.eye(4)).detail.startswith("not run: ground is seen below 0 scans")
+    assert upright_check(arrays, poses, np.eye(4)).detail.startswith("not run: ground is seen around 0 scans")
 
 
 def _require_open3d() -> None:
