@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.sensors.lasers import elevation_of
+from nvsf_core.sensors.lasers import ROW_ORDERS, elevation_of, rows_of
 from nvsf_core.sensors.ray_origins import origin_words
 from nvsf_core.sensors.tables import LaserTable
 
@@ -48,6 +48,9 @@ _LATTICE_PEAK = 0.6
 """Least height of the spectrum's peak, of 1, for an encoder's lattice."""
 _ONE_BEGIN = 0.95
 """Least height of the peak of all scans together, of that of each by itself."""
+
+
+_BY_GAPS = "separated by gaps between their elevations"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,11 +109,14 @@ def find_table(scans: Scans, others: Scans = ()) -> FoundTable:
     # A ring of too few returns is no laser here: its returns are not asked for one.
     far_of = groups if _has_rings(scans) else [points_m for points_m, _ in scans]
     groups, lines = [groups[k] for k in order], [lines[k] for k in order]
-    fitting = _fitting(far_of, lines)
+    # Gaps leave out whole lasers, of which no return is far.
+    beyond_m = _NEAREST_M if words == _BY_GAPS else _FAR_M
+    fitting = _fitting(far_of, lines, beyond_m)
     if fitting < _LEAST_FITTING:
         raise DataError(
-            f"lasers: {words}, found {len(groups)}, but {fitting:.0%} of the far returns lie on one of them, "
-            f"expected {_LEAST_FITTING:.0%}; {origin_words(groups) or advice}"
+            f"lasers: {words}, found {len(groups)}, but {fitting:.0%} of the returns beyond "
+            f"{beyond_m:g} m lie on one of them, expected {_LEAST_FITTING:.0%}; "
+            f"{origin_words(groups) or advice}"
         )
     steps, peak, arms_m, phases = _lattice(groups)
     here = [points_m[points_m[:, 3] < len(scans)] for points_m in groups]
@@ -150,11 +156,11 @@ def find_table(scans: Scans, others: Scans = ()) -> FoundTable:
     return FoundTable(table, evidence)
 
 
-def _fitting(clouds: Sequence[np.ndarray], lines: Sequence[_Line]) -> float:
-    """Share of the clouds' far returns within 0.15 degrees of a laser's line."""
+def _fitting(clouds: Sequence[np.ndarray], lines: Sequence[_Line], beyond_m: float) -> float:
+    """Share of the clouds' returns beyond a range within 0.15 degrees of a laser's line."""
     found = [elevation_of(points_m) for points_m in clouds]
     elevation, range_m = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    far = range_m > _FAR_M
+    far = range_m > beyond_m
     off = np.full(int(far.sum()), np.inf)
     for line in lines:
         off = np.minimum(off, np.abs(elevation[far] - line.arm_m / range_m[far] - line.elevation_rad))
@@ -169,24 +175,34 @@ def _told_apart(scans: Scans, others: Scans) -> tuple[list[np.ndarray], str, int
     """What `_grouped` gives, how lasers were separated, and the rings left out for their few returns."""
     if _has_rings(scans):
         return _by_ring(scans, [(points_m, ring) for points_m, ring in others if ring is not None])
-    turns = [_turns(points_m) for points_m, _ in scans]
-    counts = {int(turn.max(initial=-1)) + 1 for turn in turns}
-    if len(counts) == 1 and 2 <= max(counts) <= _MOST_LASERS:
-        groups = _full(_grouped(scans, turns))
-        spreads = [one.spread_rad for one in _lines(groups)]
-        if groups and np.mean(np.array(spreads) <= _SPREAD_RAD) > 0.5:
-            return groups, "separated by the file's order, one rotation each", 0
-    bands, labels = _bands(scans), []
+    if groups := _by_order(scans):
+        return groups, "separated by the file's order, one rotation each", 0
+    elevations = _telling_elevations(scans)
+    bands = _bands(np.concatenate(elevations))
     if not 2 <= len(bands) - 1 <= _MOST_LASERS:
         raise DataError(
             f"lasers: found {max(0, len(bands) - 1)} directions in the points' elevations, no `ring`, and no "
             "order in the file; name the sensor (`lidar` of the scene), or give each point its `ring`"
         )
-    for points_m, _ in scans:
-        elevation, range_m = elevation_of(points_m)
-        band = np.searchsorted(bands, elevation) - 1
-        labels.append(np.where((range_m > _FAR_M) & (band >= 0) & (band < len(bands) - 1), band, -1))
-    return _full(_grouped(scans, labels)), "separated by gaps between their elevations", 0
+    bins = [np.digitize(elevation, bands) - 1 for elevation in elevations]
+    labels = [np.where(band < len(bands) - 1, band, -1) for band in bins]
+    return _full(_grouped(scans, labels)), _BY_GAPS, 0
+
+
+def _by_order(scans: Scans) -> list[np.ndarray]:
+    """Groups of the file's rows, by the order in which most of them look one way; empty if none does."""
+    best: list[np.ndarray] = []
+    best_share = 0.5
+    for order in ROW_ORDERS:
+        rows = [rows_of(points_m, *order) for points_m, _ in scans]
+        counts = {int(row.max(initial=-1)) + 1 for row in rows}
+        if len(counts) != 1 or not 2 <= max(counts) <= _MOST_LASERS:
+            continue
+        groups = _full(_grouped(scans, rows))
+        share = float(np.mean([one.spread_rad <= _SPREAD_RAD for one in _lines(groups)] or [False]))
+        if share > best_share:
+            best, best_share = groups, share
+    return best
 
 
 def _by_ring(
@@ -226,16 +242,23 @@ def _grouped(scans: Scans, labels: Sequence[np.ndarray]) -> dict[int, np.ndarray
     return {int(one): rows[label == one] for one in np.unique(label)}
 
 
-def _turns(points_m: np.ndarray) -> np.ndarray:
-    """How often the azimuth has wrapped before each point, in file order."""
-    azimuth = np.mod(np.arctan2(points_m[:, 1], points_m[:, 0]).astype(np.float64), 2.0 * np.pi)
-    return np.concatenate([[0], np.cumsum(np.abs(np.diff(azimuth)) > np.pi)])[: len(points_m)]
+def _telling_elevations(scans: Scans) -> list[np.ndarray]:
+    """Elevations (N,) of far returns, and of those below all far ones; NaN of the others.
 
-
-def _bands(scans: Scans) -> np.ndarray:
-    """Limits of the elevations of each laser: the middles of the gaps between far returns' elevations."""
+    Steep lasers meet the road near by. There its height hardly differs, and a lever arm does no harm.
+    """
     found = [elevation_of(points_m) for points_m, _ in scans]
-    elevation = np.concatenate([one[range_m > _FAR_M] for one, range_m in found])
+    far = np.concatenate([elevation[range_m > _FAR_M] for elevation, range_m in found])
+    steep_rad = np.percentile(far, 0.1) - _APART_RAD if len(far) else -np.inf
+    return [
+        np.where((range_m > _FAR_M) | ((range_m > _NEAREST_M) & (elevation < steep_rad)), elevation, np.nan)
+        for elevation, range_m in found
+    ]
+
+
+def _bands(elevation: np.ndarray) -> np.ndarray:
+    """Limits of each laser's elevations: the middles of the gaps between those given (N,); NaN = unused."""
+    elevation = elevation[np.isfinite(elevation)]
     if len(elevation) < _FEWEST_RETURNS:
         return np.zeros(0)
     # Gaps are of a histogram, where single stray returns do not close them.

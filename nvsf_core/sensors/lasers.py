@@ -1,8 +1,9 @@
 """Recovers from a scan which laser measured each return, and in which firing.
 
 KITTI's files do not store it. They hold one laser after the other from the top, azimuth ascending within
-each, so the next laser begins where the azimuth wraps. All lasers fire together on the encoder's lattice, so
-each laser's columns, shifted by its own constant, give the firings of the sweep.
+each, so the next laser begins where the azimuth wraps. In others azimuths descend, or wrap behind. All lasers
+fire together on the encoder's lattice, so each laser's columns, shifted by its own constant, give the firings
+of the sweep.
 """
 
 from collections.abc import Sequence
@@ -16,6 +17,8 @@ from nvsf_core.sensors.tables import LaserTable
 FILE_ORDER = "file_order"
 BEAM_TABLE = "beam_table"
 UNKNOWN = "unknown"
+ROW_ORDERS = ((0.0, False), (0.0, True), (np.pi, False), (np.pi, True))
+"""Azimuth, radians, at which the returns of a laser begin in a file, and whether they go on clockwise."""
 _AGREEMENT = 0.9
 """Least share of returns that must agree with the beam table for it to be used."""
 _RESIDUAL_RAD = np.deg2rad(0.1)
@@ -38,7 +41,8 @@ user choose a slower rotation, or more columns."""
 def recover_lasers(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray, str, str]:
     """Laser of each return (N,) int16, how it was recovered, and why; as `ScanTiming` has them.
 
-    File order is used if each run of ascending azimuth lies on one laser of the table, and no two on one.
+    File order is used if each run of ascending (or each of descending) azimuth, from ahead or from behind,
+    lies on one laser of the table, and no two on one.
     Else each return gets the laser with the nearest elevation, argmin |e - v/r - e_l|, if 90 % of the returns
     fit one within 0.1 degrees. Else lasers are unknown (-1). Points (N, 3) are in the sensor's frame, metres.
     """
@@ -47,24 +51,35 @@ def recover_lasers(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray,
     if len(points_m) == 0:
         return np.zeros(0, np.int16), UNKNOWN, "an empty scan"
     nearest, residual_rad = nearest_laser(points_m, table)
-    turn = _turns(points_m)
-    turns = int(turn[-1]) + 1
     fitting = float((residual_rad < _RESIDUAL_RAD).mean())
     fit = f"{fitting:.2%} of the returns within 0.1 deg of a {table.name} laser"
-    if turns <= table.laser_count:
-        votes = np.zeros((turns, table.laser_count), np.int64)
-        np.add.at(votes, (turn, nearest), 1)
-        laser_of_turn = np.arange(turns) if turns == table.laser_count else votes.argmax(axis=1)
-        agreeing = votes[np.arange(turns), laser_of_turn].sum() / len(points_m)
-        if agreeing >= _AGREEMENT and fitting >= _AGREEMENT and (np.diff(laser_of_turn) > 0).all():
+    for order in ROW_ORDERS if fitting >= _AGREEMENT else ():
+        row = rows_of(points_m, *order)
+        laser_of_row, agreeing = _laser_of_row(row, nearest, table.laser_count)
+        if agreeing >= _AGREEMENT and (np.diff(laser_of_row) > 0).all():
+            turns = len(laser_of_row)
             words = f"{turns} turns of the azimuth in file order are {turns} of {table.laser_count} lasers"
-            laser = _mend_seam(points_m, laser_of_turn[turn], nearest, residual_rad, table)
+            laser = _mend_seam(points_m, laser_of_row[row], nearest, residual_rad, table)
             return laser.astype(np.int16), FILE_ORDER, f"{words}, {agreeing:.2%} agree; {fit}"
-    found = f"{turns} turns of the azimuth, not one a laser; {fit}"
+    found = f"{rows_of(points_m, *ROW_ORDERS[0])[-1] + 1} turns of the azimuth, not one a laser; {fit}"
     if fitting >= _AGREEMENT:
         laser = np.where(residual_rad < _RESIDUAL_RAD, nearest, -1).astype(np.int16)
         return laser, BEAM_TABLE, found
     return np.full(len(points_m), -1, np.int16), UNKNOWN, found
+
+
+def _laser_of_row(row: np.ndarray, nearest: np.ndarray, laser_count: int) -> tuple[np.ndarray, float]:
+    """Laser of each row of the file by its returns' (N,) rows and nearest lasers, and the share that agrees.
+
+    Empty and 0 where there are more rows than lasers.
+    """
+    rows = int(row[-1]) + 1
+    if rows > laser_count:
+        return np.zeros(0, np.int64), 0.0
+    votes = np.zeros((rows, laser_count), np.int64)
+    np.add.at(votes, (row, nearest), 1)
+    laser_of_row = np.arange(rows) if rows == laser_count else votes.argmax(axis=1)
+    return laser_of_row, float(votes[np.arange(rows), laser_of_row].sum() / len(row))
 
 
 def is_unlike(table: LaserTable, scans_m: Sequence[np.ndarray]) -> bool:
@@ -156,10 +171,11 @@ def nearest_laser(points_m: np.ndarray, table: LaserTable) -> tuple[np.ndarray, 
     return best, best_rad
 
 
-def _turns(points_m: np.ndarray) -> np.ndarray:
-    """How often the azimuth has wrapped before each return, in file order."""
-    azimuth = np.mod(np.arctan2(points_m[:, 1], points_m[:, 0]).astype(np.float64), 2.0 * np.pi)
-    return np.concatenate([[0], np.cumsum(np.diff(azimuth) < -np.pi)])
+def rows_of(points_m: np.ndarray, begin_rad: float, is_clockwise: bool) -> np.ndarray:
+    """Row of each return (N,), in file order: how often the azimuth, going one way, has passed its begin."""
+    azimuth = np.arctan2(points_m[:, 1], points_m[:, 0]).astype(np.float64) - begin_rad
+    turned = np.mod(-azimuth if is_clockwise else azimuth, 2.0 * np.pi)
+    return np.concatenate([[0], np.cumsum(np.diff(turned) < -np.pi)])[: len(points_m)]
 
 
 def _common_columns(elapsed: np.ndarray, laser: np.ndarray, lattice_steps: int) -> np.ndarray:

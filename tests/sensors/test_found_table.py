@@ -129,6 +129,35 @@ def test_an_evenly_spaced_sensor_without_lever_arms_is_told_apart_by_elevation()
     assert "gaps between their elevations" in made.evidence
 
 
+@pytest.mark.parametrize("is_clockwise", [False, True], ids=["ascending", "descending"])
+def test_lasers_of_a_file_whose_rows_begin_behind_are_found_and_told(found, scans, is_clockwise):
+    clouds = []
+    for one in scans:
+        azimuth = np.arctan2(one.points_m[:, 1], one.points_m[:, 0])
+        order = np.lexsort((-azimuth if is_clockwise else azimuth, one.laser))
+        clouds.append((one.points_m[order], one.laser[order]))
+    made = find_table([(points_m, None) for points_m, _ in clouds])
+    assert "32 lasers from 3 scans, separated by the file's order" in made.evidence
+    assert np.degrees(np.abs(made.table.elevation_rad - found.table.elevation_rad)).max() < 0.01
+    for points_m, laser in clouds:
+        timing = scan_timing(points_m, made.table)
+        assert timing.source == FILE_ORDER
+        assert np.mean(timing.laser == laser) > 0.999
+
+
+def test_steep_lasers_that_see_only_the_road_near_by_are_told_apart_by_elevation():
+    elevation = np.radians(np.arange(8.0, -26.0, -2.0))
+    azimuth, rise = np.meshgrid(np.arange(900) * 2.0 * np.pi / 900, elevation)
+    wall_m = np.random.default_rng(0).uniform(12.0, 60.0, azimuth.shape)
+    range_m = np.minimum(wall_m, 1.8 / np.maximum(-np.sin(rise), 1e-9))
+    flat = range_m * np.cos(rise)
+    points_m = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), range_m * np.sin(rise)], axis=-1)
+    firing_after_firing = points_m.swapaxes(0, 1).reshape(-1, 3).astype(np.float32)
+    made = find_table([(firing_after_firing, None)])
+    assert "17 lasers" in made.evidence and "gaps between their elevations" in made.evidence
+    assert np.abs(made.table.elevation_rad - elevation).max() < 1e-4
+
+
 @pytest.mark.parametrize("begins", [(0.3,) * 3, (0.05, 0.9, 0.8), (0.1, 0.45, 0.75)])
 def test_a_sensor_that_begins_each_sweep_anywhere_has_no_lattice(begins):
     columns, rings = np.arange(720), np.arange(16)

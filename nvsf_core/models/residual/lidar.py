@@ -103,10 +103,11 @@ def training_rays(lidar: LidarRecording, recipe: ResidualRecipe, field: LidarFie
 
     joined = join_rays([rays for both in in_parts(rays_of, len(learned)) for rays in both])
     if (evidence.lasers < 0).all():
+        is_found = sweeps.table.name.startswith("found-")
+        otherwise = "give each point its `ring`" if is_found else 'write `lidar = "found"`'
         raise DataError(
             f"field: expected scans whose lasers are known, found none in {len(evidence.prior.time_s)}: they "
-            f"do not fit a {sweeps.table.name}; name their sensor (`lidar` of the scene), or write "
-            '`lidar = "found"`'
+            f"do not fit a {sweeps.table.name}; name their sensor (`lidar` of the scene), or {otherwise}"
         )
     if len(joined) == 0:
         raise DataError(
