@@ -1,5 +1,6 @@
 """A drive as a folder of plain files (docs/drives.md): for every recording that has no reader of its own."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from os.path import lexists
@@ -29,6 +30,8 @@ from nvsf_core.errors import DataError
 _MOST_POINT_BYTES = 256
 """Most bytes of a point in a file of any kind."""
 _TIME_NAMES = ("time", "t", "timestamp", "time_offset")
+_SAME_TIME_S = 1e-3
+"""Times of a frame in two tables differ by their digits; 1 ms is 3 cm at 30 m/s."""
 _BESIDE = {"ring": "<u2", "time": "<f4"}
 
 
@@ -130,7 +133,11 @@ class PlainDrive(AbstractPosedDrive):
         """Times of `frames.csv`, or of the poses by their frame; without both, a nominal pace."""
         layout = self.layout
         if lexists(layout.frames_path):
-            return read_times(layout.frames_path)
+            seconds = read_times(layout.frames_path)
+            path, frames = self._poses if lexists(layout.poses_path) else (None, None)
+            if path is not None and frames is not None:
+                _require_same_times(seconds, path, frames)
+            return seconds
         if not lexists(layout.poses_path):
             period_s = self.scene.sweep_period_s or NOMINAL_PERIOD_S
             return {frame: frame * period_s for frame in self._scans}
@@ -292,6 +299,21 @@ def scan_of_columns(path: Path, columns: Columns, intensity_max: float, stamp_s:
 
 def _intensity(columns: Columns) -> np.ndarray | None:
     return columns.get("intensity", columns.get("reflectivity"))
+
+
+def _require_same_times(seconds: Mapping[int, float], path: PosePath, frames: np.ndarray) -> None:
+    """Refuse poses whose frames (n,) were at other times than `frames.csv` says: either may be wrong.
+
+    Raises:
+        DataError: One is farther off than a millisecond.
+    """
+    for frame, time_s in zip(frames.tolist(), path.time_s.tolist(), strict=True):
+        if abs(seconds.get(frame, time_s) - time_s) > _SAME_TIME_S:
+            raise DataError(
+                f"{path.place}: expected frame {frame} at {seconds[frame]:.6f} s, as frames.csv says, found "
+                f"{time_s:.6f} s; correct one of both, or delete the column `frame` if poses are not of the "
+                "scans' times, or frames.csv if they are"
+            )
 
 
 def _require_intensities(path: Path, columns: Columns, intensity_max: float) -> None:

@@ -59,6 +59,22 @@ def test_a_given_duration_of_a_sweep_is_kept_where_frames_are_farther_apart(tmp_
     assert any("give sweep_period_s in the catalogue" in note for note in _facts(tmp_path).notes)
 
 
+@pytest.mark.parametrize("apart_s", [0.0, 0.0005, 0.02, -0.03])
+def test_poses_of_frames_at_other_times_than_frames_csv_says_are_refused(tmp_path, apart_s):
+    layout = _write(tmp_path, 0.1, 0.1, begin_s=1e6)
+    rows = [f"{frame},{1e6 + 0.1 * frame + apart_s * (frame == 2):.6f}" for frame in range(FRAMES)]
+    layout.frames_path.write_text("\n".join(["frame,time_s", *rows]))
+    if abs(apart_s) < 0.001:
+        assert len(_facts(tmp_path).poses) == FRAMES
+        return
+    with pytest.raises(DataError, match=r"poses\.csv: expected frame 2 at 1.*, found 1000000\.200000 s"):
+        _facts(tmp_path)
+    # Without that column poses may be of any times.
+    lines = [line.partition(",")[2] for line in layout.poses_path.read_text().splitlines()]
+    layout.poses_path.write_text("\n".join(lines))
+    assert len(_facts(tmp_path).poses) == FRAMES
+
+
 def test_key_frames_have_the_sweep_that_their_points_times_show(tmp_path):
     _write(tmp_path, 0.5, 0.05)
     facts = _facts(tmp_path)
