@@ -207,6 +207,10 @@ class AbstractDrive(ABC):
         """What a camera's image would be called, for messages."""
         return f"{frame:010d}.png"
 
+    def why_no_pose(self, frame: int, place: str) -> str:
+        """Why a frame has no pose in the file of that name, for messages."""
+        return f"no pose in {place}"
+
     def pose_at_image(self, camera: str, frame: int, pose: np.ndarray) -> np.ndarray:
         """(4, 4) pose frame to world when a camera's image was taken; by default the frame's own pose."""
         return pose

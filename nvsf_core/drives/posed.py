@@ -5,6 +5,7 @@ times of their own, the instants are moved there, and the pose is the path's at 
 """
 
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -116,6 +117,12 @@ class AbstractPosedDrive(AbstractDrive):
     def parse_scan(self, found: Recorded) -> Scan:
         """Validate and decode a scan: points, intensity, ring and time after the frame's instant."""
         return self.centred(self._decoded(found))
+
+    def why_no_pose(self, frame: int, place: str) -> str:
+        """That the frame's time is not known, else see the base class."""
+        if frame not in self._seconds:
+            return f"no pose: its time is not known, {self.times_source} has no frame {frame}"
+        return super().why_no_pose(frame, place)
 
     def image_seconds(self, camera: str) -> dict[int, float]:
         """Time of each image of a camera, by frame; empty = the frames' own, as they are recorded."""
@@ -342,18 +349,23 @@ class AbstractPosedDrive(AbstractDrive):
         return Scan(scan.points, scan.n_absurd, scan.ring, scan.offset_s - self.stamp_shift_s)
 
 
-def require_ascending(time_s: np.ndarray, where: str) -> None:
-    """Refuse times (n,) that do not ascend; `where` is their file, for the message.
+def require_ascending(values: np.ndarray, where: str, line_of: Callable[[int], int]) -> None:
+    """Refuse times, or frames, (n,) that do not ascend.
+
+    Args:
+        values: In the order of the file.
+        where: The file, for the message.
+        line_of: Number of the line that the value of an index stands in.
 
     Raises:
-        DataError: One is not later than the one before.
+        DataError: One is not larger than the one before.
     """
-    late = np.flatnonzero(np.diff(time_s) <= 0.0)
+    late = np.flatnonzero(np.diff(values) <= 0.0)
     if len(late):
-        k = int(late[0])
+        k = int(late[0]) + 1
         raise DataError(
-            f"{where}: expected ascending times, found {time_s[k + 1]:.9g} s after {time_s[k]:.9g} s in row "
-            f"{k + 2}; sort the rows, and keep one of each time"
+            f"{where}: expected ascending times, found {values[k]:.16g} in line {line_of(k)}, after "
+            f"{values[k - 1]:.16g}; sort the rows, and keep one of each time"
         )
 
 

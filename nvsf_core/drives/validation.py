@@ -177,7 +177,7 @@ def _has_scan(source: AbstractDrive, frame: int) -> bool:
 
 def _frame_row(source: AbstractDrive, facts: DriveFacts, frame: int, time_s: float) -> FrameRow:
     pose = facts.poses.get(frame)
-    reasons = [] if pose is not None else [f"no pose in {facts.poses_place.name}"]
+    reasons = [] if pose is not None else [source.why_no_pose(frame, facts.poses_place.name)]
     checksum, n_returns, n_dropped, brightest = "", 0, 0, 0.0
     if not facts.has_scans:
         reasons.append("camera-only drive")
@@ -209,7 +209,7 @@ def _frame_row(source: AbstractDrive, facts: DriveFacts, frame: int, time_s: flo
 
 def _camera_row(source: AbstractDrive, facts: DriveFacts, camera: str, row: FrameRow) -> CameraRow:
     frame, pose = row.frame, facts.poses.get(row.frame)
-    reasons = [] if pose is not None else [f"no pose in {facts.poses_place.name}"]
+    reasons = [] if pose is not None else [source.why_no_pose(frame, facts.poses_place.name)]
     checksum, to_world = "", None
     mounted = facts.calibration.cameras[camera]
     try:

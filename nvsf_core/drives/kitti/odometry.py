@@ -67,7 +67,7 @@ class KittiOdometryDrive(AbstractKittiDrive):
         """`times.txt`: a line a frame from frame 0."""
         path = self._place / "times.txt"
         seconds = read_seconds(path)
-        require_ascending(seconds, str(path))
+        require_ascending(seconds, str(path), lambda row: row + 1)
         return dict(enumerate(seconds.tolist()))
 
     def pose_path(self) -> PosePath | None:

@@ -90,7 +90,8 @@ class KittiRawDrive(AbstractKittiDrive):
     def frame_seconds(self) -> dict[int, float]:
         """Stamps of the scans: the laser faces forward."""
         found = self._seconds_of("velodyne_points")
-        require_ascending(np.array(list(found.values())), str(self._stamps_file("velodyne_points")))
+        stamps_file, numbers = str(self._stamps_file("velodyne_points")), list(found)
+        require_ascending(np.array(list(found.values())), stamps_file, lambda row: numbers[row] + 1)
         return found
 
     def clock_zero_s(self) -> float:
@@ -108,7 +109,7 @@ class KittiRawDrive(AbstractKittiDrive):
     def pose_path(self) -> PosePath | None:
         """Poses of the packets; a packet that cannot be read is left out."""
         stamps = self._seconds_of("oxts")
-        found, time_s = [], []
+        found, numbers = [], []
         for number, path in numbered_files(self._oxts_dir, ("txt",)).items():
             if number not in stamps:
                 continue
@@ -116,11 +117,12 @@ class KittiRawDrive(AbstractKittiDrive):
                 found.append(read_oxts(path))
             except DataError:
                 continue  # its frame's pose is interpolated between its neighbours' packets
-            time_s.append(stamps[number])
+            numbers.append(number)
         if not found:
             return None
-        require_ascending(np.array(time_s), str(self._stamps_file("oxts")))
-        return PosePath(np.array(time_s), oxts_poses(np.array(found)), self._oxts_dir)
+        time_s = np.array([stamps[number] for number in numbers])
+        require_ascending(time_s, str(self._stamps_file("oxts")), lambda row: numbers[row] + 1)
+        return PosePath(time_s, oxts_poses(np.array(found)), self._oxts_dir)
 
     def calibration(self) -> Calibration:
         """The date's three calibration files."""

@@ -204,6 +204,10 @@ class PlainDrive(AbstractPosedDrive):
         """For messages."""
         return f"scans/{frame:010d}.bin, .ply or .pcd"
 
+    def image_name(self, camera: str, frame: int) -> str:
+        """For messages."""
+        return f"images/{camera}/{frame:010d}.png or .jpg"
+
     def find_scan(self, frame: int) -> Recorded | None:
         """The bytes of the scan, and of ring and time beside it."""
         path = self._scans.get(frame)

@@ -5,6 +5,8 @@ import math
 import re
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +94,11 @@ def read_columns(path: Path, needed: Sequence[str], optional: Sequence[str] = ()
     return {name: np.frombuffer(column) for name, column in columns.items()}
 
 
+def _line(path: Path, row: int) -> int:
+    """Number of the line that a row of numbers, counted from 0, stands in."""
+    return next(islice(read_rows(path)[1], row, None))[0]
+
+
 def finite_number(cell: str) -> float:
     """The number of a cell.
 
@@ -116,7 +123,9 @@ def frame_numbers(columns: Mapping[str, np.ndarray], path: Path) -> np.ndarray:
     frames = columns["frame"]
     bad = np.flatnonzero((frames < 0) | (frames != np.floor(frames)) | (frames >= 1e10))
     if len(bad):
-        raise DataError(f"{path}, row {int(bad[0]) + 2}: expected a frame number, found {frames[bad[0]]:g}")
+        raise DataError(
+            f"{path}, line {_line(path, int(bad[0]))}: expected a frame number, found {frames[bad[0]]:g}"
+        )
     whole = frames.astype(np.int64)
     names, count = np.unique(whole, return_counts=True)
     if (count > 1).any():
@@ -147,8 +156,8 @@ def read_times(path: Path) -> dict[int, float]:
     columns = read_columns(path, ("frame", "time_s"))
     frames = frame_numbers(columns, path)
     _require_seconds(columns["time_s"], path)
-    require_ascending(columns["time_s"], str(path))
-    require_ascending(frames.astype(np.float64), f"{path}, column frame")
+    require_ascending(columns["time_s"], str(path), partial(_line, path))
+    require_ascending(frames.astype(np.float64), f"{path}, column frame", partial(_line, path))
     return dict(zip(frames.tolist(), columns["time_s"].tolist(), strict=True))
 
 
@@ -168,13 +177,14 @@ def read_pose_table(path: Path) -> tuple[PosePath, np.ndarray | None]:
     else:
         values = _matrices(columns, path)
     _require_seconds(columns["time_s"], path)
-    require_ascending(columns["time_s"], str(path))
+    require_ascending(columns["time_s"], str(path), partial(_line, path))
     poses = []
-    for number, row in enumerate(values, start=2):
+    for number, row in enumerate(values):
         try:
             poses.append(rigid(row, FARTHEST_M))
         except ValueError as error:
-            raise DataError(f"{path}, row {number}: {error}; correct it, or delete the row") from error
+            line = _line(path, number)
+            raise DataError(f"{path}, line {line}: {error}; correct it, or delete the row") from error
     frames = frame_numbers(columns, path) if "frame" in columns else None
     return PosePath(columns["time_s"], np.stack(poses), path), frames
 
@@ -185,7 +195,7 @@ def _matrices(columns: Mapping[str, np.ndarray], path: Path) -> np.ndarray:
     short = np.flatnonzero(np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) > 0.01)
     if len(short):
         raise DataError(
-            f"{path}, row {int(short[0]) + 2}: expected a quaternion of length 1, found "
+            f"{path}, line {_line(path, int(short[0]))}: expected a quaternion of length 1, found "
             f"{quaternion[short[0]].tolist()}; their order is qx, qy, qz, qw"
         )
     rotation = Rotation.from_quat(quaternion).as_matrix()

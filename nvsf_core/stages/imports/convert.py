@@ -113,7 +113,7 @@ def _convert(scene: SceneEntry, folder: Path, layout: str, progress: Callable[[s
     for number, frame in enumerate(source.frames):
         progress(f"frame {frame}, {number} of {len(source.frames)} done")
         if frame not in facts.poses:
-            left_out.append(f"pose {frame}: none in {facts.poses_place.name}")
+            left_out.append(f"pose {frame}: {source.why_no_pose(frame, facts.poses_place.name)}")
         _scan(source, facts, target, frame, scans, left_out)
         images += sum(_image(source, facts, target, name, frame, left_out) for name in target.cameras)
     if not scans.written + images:

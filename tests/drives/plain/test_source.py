@@ -75,6 +75,18 @@ def test_poses_of_frames_at_other_times_than_frames_csv_says_are_refused(tmp_pat
     assert len(_facts(tmp_path).poses) == FRAMES
 
 
+def test_a_frame_that_the_table_of_times_lacks_is_not_said_to_lack_a_pose(tmp_path):
+    layout = _write(tmp_path, 0.1, 0.1)
+    rows = [f"{frame},{0.1 * frame:.6f}" for frame in range(FRAMES) if frame != 2]
+    layout.frames_path.write_text("\n".join(["frame,time_s", *rows]))
+    write_cameras(layout, {"front": (Pinhole(50.0, 50.0, 32.0, 24.0, 64, 48), np.eye(4))})
+    write_plain_image(layout, "front", 0, np.zeros((48, 64, 3), np.uint8))
+    drive = read_drive(scene_at(tmp_path, "plain"), lambda line: None)
+    assert drive.frames[2].reason == "no pose: its time is not known, frames.csv has no frame 2"
+    image = next(one for one in drive.images if one.frame == 1)
+    assert image.reason == "no image file images/front/0000000001.png or .jpg"
+
+
 def test_key_frames_have_the_sweep_that_their_points_times_show(tmp_path):
     _write(tmp_path, 0.5, 0.05)
     facts = _facts(tmp_path)

@@ -103,3 +103,24 @@ def test_a_table_without_commas_is_refused_with_what_is_expected(tmp_path: Path,
     (tmp_path / "poses.csv").write_text("\n".join(POSES).replace(",", separator))
     with pytest.raises(DataError, match=r"poses\.csv: expected names and numbers apart by commas, found"):
         read_pose_table(tmp_path / "poses.csv")
+
+
+@pytest.mark.parametrize(
+    ("row", "reason"),
+    [
+        ("1700000000.2,0,0,0,0,0,0,1", "found 1700000000.2 in line 7, after 1700000000.3; sort the rows"),
+        ("1700000000.3,0,0,0,0,0,0,1", "found 1700000000.3 in line 7, after 1700000000.3; sort the rows"),
+        ("1700000000.4,0,0,0,0,0,0,3", "line 7: expected a quaternion of length 1"),
+        ("1700000000.4,1e9,0,0,0,0,0,1", "line 7: expected a translation within"),
+    ],
+)
+def test_a_bad_pose_is_named_by_its_line_and_its_time_told_apart_from_the_one_before(
+    tmp_path: Path, row: str, reason: str
+) -> None:
+    good = [f"1700000000.{k},0,0,0,0,0,0,1" for k in (1, 2, 3)]
+    (tmp_path / "poses.csv").write_text(
+        "\n".join(["time_s,x,y,z,qx,qy,qz,qw", "# of a logger", *good, "", row, "1700000000.5,0,0,0,0,0,0,1"])
+    )
+    with pytest.raises(DataError) as refused:
+        read_pose_table(tmp_path / "poses.csv")
+    assert reason in str(refused.value)
