@@ -7,7 +7,6 @@ from assets.offers import offer_checks
 from assets.report import REPORT
 from assets.scenes import key_of
 from pipelines.executors import timing_executor
-from pipelines.reaper import host_tags
 from pipelines.terminal import TERSE_LOGGING
 from pipelines.train_all import make_train_all_scenes
 
@@ -34,7 +33,6 @@ train_scene = dg.define_asset_job(
     "train_scene",
     selection=_up_to_dataset,
     config=TERSE_LOGGING,
-    tags=host_tags(),
     description="One scene, from its recorded drive to its data set; what is up to date is skipped.",
 )
 
@@ -42,7 +40,7 @@ regenerate_synthetic = dg.define_asset_job(
     "regenerate_synthetic",
     selection=_up_to_dataset,
     config=TERSE_LOGGING,
-    tags=host_tags() | KEPT_TAGS | SAMPLES_TAGS,
+    tags=KEPT_TAGS | SAMPLES_TAGS,
     description="A new version of a scene's synthetic data sets, sampled with the run's own seed, by the "
     "scene's newest field; it is trained again only where its drive or the code changed.",
 )
@@ -51,7 +49,6 @@ make_report = dg.define_asset_job(
     "make_report",
     selection=dg.AssetSelection.assets(key_of(REPORT)),
     config=TERSE_LOGGING,
-    tags=host_tags(),
     description="The report over all scenes; it has no partition, so the jobs of one scene do not make it.",
 )
 

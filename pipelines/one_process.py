@@ -13,6 +13,7 @@ from dagster._core.execution.retries import RetryMode
 from dagster._core.executor.in_process import InProcessExecutor
 
 from pipelines.job_process import INTERRUPTED
+from pipelines.reaper import say_which_host_runs_it
 
 
 class OneProcess(InProcessExecutor):
@@ -20,6 +21,7 @@ class OneProcess(InProcessExecutor):
 
     def execute(self, plan_context: Any, execution_plan: Any) -> Iterator[Any]:
         """Execute the steps; an interrupted one ends the run."""
+        say_which_host_runs_it(plan_context.instance, plan_context.run_id)
         steps = super().execute(plan_context, execution_plan)
         try:
             for event in steps:

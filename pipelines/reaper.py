@@ -1,7 +1,8 @@
 """`stale_run_reaper`: a sensor that marks runs as failed if their processes are gone.
 
-A killed `dagster job execute` (SIGKILL, power) leaves its run STARTED for ever: it holds its pool slots and
-counts against `max_concurrent_runs`. Dagster's run monitoring only covers runs that the daemon launched.
+A killed run (SIGKILL, power) stays STARTED for ever: it holds its pool slots and counts against
+`max_concurrent_runs`. Dagster's run monitoring asks a launcher for the health of a run, and the default one
+knows none. Every run says which machine it is on, also one of the UI's button, which is of no job of ours.
 """
 
 import os
@@ -27,10 +28,15 @@ _MESSAGE = (
 
 
 def host_tags() -> dict[str, str]:
-    """Tags for a job whose runs stay on this machine; none if the executor sends steps to other machines."""
+    """Tags of a run that stays on this machine; none if the executor sends steps to other machines."""
     if os.environ.get("NVSF_EXECUTOR", "") not in _LOCAL_EXECUTORS:
         return {}
     return {HOST_TAG: f"{socket.gethostname()}/{_boot()}", CLOCK_TAG: f"{_machine_started_s():.0f}"}
+
+
+def say_which_host_runs_it(instance: dg.DagsterInstance, run_id: str) -> None:
+    """Tag a run that begins here; one that was launched again has the tags of where it ran before."""
+    instance.add_run_tags(run_id, host_tags())
 
 
 @dg.sensor(
@@ -94,7 +100,7 @@ def _is_stale(instance: dg.DagsterInstance, run: dg.DagsterRun, quiet_s: float) 
 
 
 def _set_forward_s(run: dg.DagsterRun) -> float:
-    """By how much the machine's clock was set forward since the run was defined; 0 if it was not."""
+    """By how much the machine's clock was set forward since the run began; 0 if it was not."""
     told = run.tags.get(CLOCK_TAG, "")
     return max(0.0, _machine_started_s() - float(told)) if told.isdigit() else 0.0
 

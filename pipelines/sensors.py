@@ -18,7 +18,6 @@ from nvsf_core.drives.section import why_wait
 from nvsf_core.errors import NvsfError
 from nvsf_core.stores.file_hashes import TimeIsUpError
 from pipelines.jobs import RETRY_TAGS
-from pipelines.reaper import host_tags
 from pipelines.switch import AUTOMATE_VARIABLE, is_on, quiet_s
 
 _MOST_READING_S = 20.0
@@ -146,7 +145,7 @@ scenes_follow = dg.AutomationConditionSensorDefinition(
     target=dg.AssetSelection.all(),
     minimum_interval_seconds=30,
     default_status=dg.DefaultSensorStatus.RUNNING if _FOLLOWS else dg.DefaultSensorStatus.STOPPED,
-    run_tags={**host_tags(), **KEPT_TAGS, **RETRY_TAGS},
+    run_tags={**KEPT_TAGS, **RETRY_TAGS},
     emit_backfills=False,
     description="Ingests, trains, renders, measures and writes what is new, and what a changed drive or view "
     "changes, one scene a run; a trained scene keeps its recipe and seed. Off unless NVSF_AUTOMATE=1 is set "

@@ -20,6 +20,7 @@ from dagster._core.executor.multiprocess import MultiprocessExecutor
 from nvsf_core.errors import StageKilledError
 from nvsf_core.stages.flow import WORK_MODULES
 from pipelines.job_process import INTERRUPTED
+from pipelines.reaper import say_which_host_runs_it
 
 _PRELOADED = "pipelines.definitions"
 _MOST_STARTS = 4
@@ -62,6 +63,7 @@ class StepProcesses(MultiprocessExecutor):
 
     def execute(self, plan_context: Any, execution_plan: Any) -> Iterator[Any]:
         """Execute the steps; says which of them had to be started again."""
+        say_which_host_runs_it(plan_context.instance, plan_context.run_id)
         started: dict[str, StepProcess] = {}
 
         def process(*, args: tuple[Any, ...], **named: Any) -> StepProcess:

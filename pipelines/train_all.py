@@ -35,7 +35,6 @@ from nvsf_core.stores.scene_store import SceneStore
 from pipelines.closing_words import SceneState, closing_words, next_ui, next_view
 from pipelines.failures import CALLED_TAG, call_command, named_command
 from pipelines.passed_values import PassedValues, remove_old_values
-from pipelines.reaper import host_tags
 from pipelines.resources import RESOURCES
 from pipelines.terminal import TERSE_LOGGING, terse_logger
 
@@ -268,5 +267,5 @@ def make_train_all_scenes(
 
     return all_scenes.to_job(
         resource_defs=RESOURCES | {"io_manager": PassedValues()}, logger_defs={"terse": terse_logger},
-        config=TERSE_LOGGING, executor_def=executor, tags=host_tags(),
+        config=TERSE_LOGGING, executor_def=executor,
     )  # fmt: skip

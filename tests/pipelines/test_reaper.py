@@ -12,9 +12,27 @@ import dagster as dg
 import pytest
 
 from pipelines import reaper
-from pipelines.definitions import defs
-from pipelines.reaper import HOST_TAG, host_tags, reap, stale_run_reaper
+from pipelines.reaper import (
+    CLOCK_TAG,
+    HOST_TAG,
+    host_tags,
+    reap,
+    say_which_host_runs_it,
+    stale_run_reaper,
+)
 
+ASSET = """
+import time
+import dagster as dg
+from pipelines.executors import executor_from_environment
+
+@dg.asset
+def waits():
+    print("waiting", flush=True)
+    time.sleep(300)
+
+defs = dg.Definitions(assets=[waits], executor=executor_from_environment())
+"""
 RUN = """
 import time
 import dagster as dg
@@ -96,8 +114,38 @@ def test_the_sensor_says_what_it_did(instance):
     assert reason.skip_message == "no stale run"
 
 
-def test_our_jobs_runs_name_their_machine_unless_steps_go_elsewhere(monkeypatch):
-    for name in ("train_all_scenes", "benchmark", "train_scene", "regenerate_synthetic"):
-        assert defs.resolve_job_def(name).tags[HOST_TAG].startswith(f"{socket.gethostname()}/")
+@pytest.mark.parametrize("executor", ["in_process", "multiprocess"])
+def test_a_killed_run_of_assets_is_marked_though_it_is_of_no_job_of_ours(
+    instance, repo, tmp_path, monkeypatch, executor
+):
+    monkeypatch.setenv("NVSF_EXECUTOR", executor)
+    monkeypatch.delenv("DAGSTER_MODULE_NAME", raising=False)
+    (tmp_path / "one_asset.py").write_text(ASSET)
+    command = [sys.executable, "-m", "dagster", "asset", "materialize", "--select", "waits"]
+    process = subprocess.Popen(
+        [*command, "-f", str(tmp_path / "one_asset.py")], cwd=repo, env=dict(os.environ), text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    assert process.stdout.readline() == "waiting\n"
+    run_id = instance.get_run_records(limit=1)[0].dagster_run.run_id
+    assert reap(instance, quiet_s=0.0) == []
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    assert reap(instance, quiet_s=0.0) == [run_id]
+    assert _status(instance, run_id) == dg.DagsterRunStatus.FAILURE
+
+
+def test_a_run_that_goes_on_after_the_machine_was_started_again_is_of_its_new_boot(instance):
+    @dg.job
+    def empty(): ...
+
+    old = {HOST_TAG: f"{socket.gethostname()}/00000000", CLOCK_TAG: "1"}
+    run = instance.create_run_for_job(empty, tags=old)
+    say_which_host_runs_it(instance, run.run_id)
+    assert {name: instance.get_run_by_id(run.run_id).tags[name] for name in host_tags()} == host_tags()
+
+
+def test_a_run_names_no_machine_where_its_steps_go_elsewhere(monkeypatch):
+    assert host_tags()[HOST_TAG].startswith(f"{socket.gethostname()}/")
     monkeypatch.setenv("NVSF_EXECUTOR", "ray")
     assert host_tags() == {}

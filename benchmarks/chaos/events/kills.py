@@ -33,6 +33,18 @@ def kill_run(world: World, random: Random) -> Harm:
     return Harm(f"after {moment_s:.0f} s" if was_alive else "after its end")
 
 
+def kill_assets(world: World, random: Random) -> Harm:
+    """Kill a run of assets, which is of no job of ours and holds the pool, while it trains."""
+    world.provoke()
+    command = ["-m", "dagster", "asset", "materialize", "--select", "nvsf/field", "--partition", SCENE]
+    run = world.launch([sys.executable, *command], "assets")
+    run.wait_for("field: started", LONGEST_RUN_S)
+    run.sleep(random.uniform(0.0, 2.0))
+    was_alive = run.is_alive
+    run.kill()
+    return Harm("while it trained" if was_alive else "after its end", run.said, "field: started")
+
+
 def kill_step(world: World, random: Random) -> Harm:
     """Kill one random process of a run; the run itself goes on."""
     world.provoke()
@@ -110,6 +122,7 @@ def _both(first: Running, second: Running, how: str = "") -> Harm:
 
 EVENTS = [
     Event("kill_run", "SIGKILL to a run and its steps", kill_run, weight=4),
+    Event("kill_assets", "SIGKILL to a run of assets, as the UI starts", kill_assets, needs_dagster=True),
     Event(
         "kill_removal", "SIGKILL to who removes old versions of data sets", kill_removal, needs_dagster=True
     ),
