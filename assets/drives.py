@@ -5,7 +5,8 @@ from collections.abc import Callable, Iterable
 
 import dagster as dg
 
-from assets.scenes import SCENES, key_of
+from assets.provenance import newest_version
+from assets.scenes import DATA_VERSION, SCENES, key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import NvsfError
@@ -45,6 +46,42 @@ def versions_of(
     store = SceneStore(workspace.home(), entry.name)
     with hashes_of(store, until_s=time.monotonic() + most_s) as hashes:
         return {name: VERSIONS[name](entry, hashes) for name in names}
+
+
+def observation(name: str, entry: SceneEntry, version: str) -> dg.AssetObservation:
+    """Event that reports the data version of an observed asset of a scene."""
+    return dg.AssetObservation(
+        asset_key=key_of(name),
+        partition=entry.name,
+        metadata={"path": dg.MetadataValue.path(str(entry.root))},
+        tags={DATA_VERSION: version},
+    )
+
+
+def newly_seen(
+    instance: dg.DagsterInstance, entry: SceneEntry, workspace: Workspace, names: Iterable[str]
+) -> list[dg.AssetObservation]:
+    """Events of observed assets that differ from what was reported of them last.
+
+    A run that is about to read them reports it: else what it makes would be marked as out of date, or never,
+    once the sensor sees them. Nothing is said of what cannot be read, for the stage that reads it does.
+
+    Args:
+        instance: Has the events of before.
+        entry: The scene.
+        workspace: As of `versions_of`.
+        names: The assets.
+    """
+    try:
+        found = versions_of(entry, workspace, names=names)
+    except (NvsfError, OSError):
+        return []
+    before = {name: newest_version(instance, key_of(name), entry.name) for name in found}
+    return [
+        observation(name, entry, version)
+        for name, version in found.items()
+        if (event := before[name]) is None or event.event_log_entry.tags.get(DATA_VERSION) != version
+    ]
 
 
 def _observed(name: str) -> dg.AssetsDefinition | dg.SourceAsset:

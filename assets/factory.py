@@ -47,7 +47,7 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
 
     @dg.asset(
         key=key_of(stage.name),
-        deps=[key_of(name) for name in (*stage.inputs, *_observed_by(stage))],
+        deps=inputs_of(stage),
         group_name=stage.group,
         description=stage.description,
         code_version=stage.version,
@@ -87,24 +87,36 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
     return run
 
 
-def _observed_by(stage: Stage) -> list[str]:
+def observed_by(stage: Stage) -> list[str]:
     """Observed assets that a stage reads."""
     views = stage.reads_views or stage.reads_truth
     return [DRIVE] * stage.reads_drive + [ASKED_VIEWS] * views
 
 
+def inputs_of(stage: Stage) -> list[dg.AssetKey]:
+    """Assets that a stage reads."""
+    return [key_of(name) for name in (*stage.inputs, *observed_by(stage))]
+
+
 def events_of(
-    stage: Stage, outcome: Outcome, scene: str, instance: dg.DagsterInstance
+    stage: Stage, outcome: Outcome, scene: str, instance: dg.DagsterInstance, inputs: dict[str, str]
 ) -> Iterable[dg.AssetMaterialization | dg.AssetCheckEvaluation]:
     """Events that an op logs, one by one, so that Dagster counts the scene's partition as made and checked.
 
     The verdicts name the first event, which must have been logged before the next one is asked for.
+
+    Args:
+        stage: The stage.
+        outcome: What came of it.
+        scene: Name of the scene.
+        instance: Has the events of earlier outputs.
+        inputs: Tags that say what it is made of, asked for before it was made.
     """
     yield dg.AssetMaterialization(
         asset_key=key_of(outcome.stage),
         partition=scene,
         metadata=outcome_metadata(outcome),
-        tags={DATA_VERSION: outcome.content},
+        tags={DATA_VERSION: outcome.content, **inputs},
     )
     yield from evaluations(stage.name, scene, verdicts(stage, outcome, scene), instance)
 

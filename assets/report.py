@@ -5,18 +5,10 @@ from typing import NamedTuple
 
 import dagster as dg
 
-# Not exported by Dagster, which sets them in runs of assets alone; Dagster is held below 1.14.
-from dagster._core.definitions.data_version import (
-    CODE_VERSION_TAG,
-    DEFAULT_DATA_VERSION,
-    NULL_EVENT_POINTER,
-    get_input_data_version_tag,
-    get_input_event_pointer_tag,
-)
-
 from assets.automation import follows_all_scenes
 from assets.factory import FRESH
-from assets.scenes import DATA_VERSION, OWNERS, key_of
+from assets.provenance import made_of
+from assets.scenes import OWNERS, key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.drive import has_data
 from nvsf_core.drives.entries import SceneEntry
@@ -51,19 +43,10 @@ def benchmark_report(workspace: Workspace) -> dg.MaterializeResult:
     )
 
 
-def made_of(instance: dg.DagsterInstance, run_id: str) -> dict[str, str]:
-    """Tags of a report's event that say what it is made of, as Dagster's own are of an asset's run.
-
-    Without them Dagster compares times, and takes the output that a failed scene lacks for a new input.
-    """
-    tags = {CODE_VERSION_TAG: run_id}  # as Dagster has it where an asset has no version of its own
-    for stage in (METRICS_STAGE, DATASET_STAGE):
-        key = key_of(stage)
-        newest = instance.fetch_materializations(key, limit=1).records
-        version = newest[0].event_log_entry.tags.get(DATA_VERSION) if newest else None
-        tags[get_input_data_version_tag(key)] = version or DEFAULT_DATA_VERSION.value
-        tags[get_input_event_pointer_tag(key)] = str(newest[0].storage_id) if newest else NULL_EVENT_POINTER
-    return tags
+def report_made_of(instance: dg.DagsterInstance, run_id: str) -> dict[str, str]:
+    """Tags of the event of a report that no run of assets makes; to be asked for before it is made."""
+    inputs = [key_of(METRICS_STAGE), key_of(DATASET_STAGE)]
+    return made_of(instance, run_id, inputs)  # a run's id, as Dagster has it where there is no code version
 
 
 class WrittenReport(NamedTuple):

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import dagster as dg
 
 from assets.automation import KEPT_TAGS
-from assets.drives import versions_of
+from assets.drives import observation, versions_of
 from assets.offers import OFFERS, offer_evaluation
-from assets.scenes import DATA_VERSION, SCENES, key_of
+from assets.scenes import SCENES, key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.drive import drive_of
@@ -98,14 +98,7 @@ def _look_at(entry: SceneEntry, workspace: Workspace, before: dict[str, Any]) ->
     for name, version in versions_of(entry, workspace, _MOST_READING_S).items():
         now[name] = version
         if before.get(name) != version:
-            events.append(
-                dg.AssetObservation(
-                    asset_key=key_of(name),
-                    partition=entry.name,
-                    metadata={"path": dg.MetadataValue.path(str(entry.root))},
-                    tags={DATA_VERSION: version},
-                )
-            )
+            events.append(observation(name, entry, version))
     return _Found(now, events)
 
 

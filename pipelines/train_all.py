@@ -18,10 +18,12 @@ import dagster as dg
 from dagster._core.events import AssetMaterializationPlannedData, DagsterEvent
 from pydantic import Field
 
-from assets.factory import events_of, failed_checks
+from assets.drives import newly_seen
+from assets.factory import events_of, failed_checks, inputs_of, observed_by
 from assets.metadata import exported_folders
 from assets.origin import TERMINAL_TAG, say_whose_run_it_is
-from assets.report import CURVES, REPORT, made_of
+from assets.provenance import made_of
+from assets.report import CURVES, REPORT, report_made_of
 from assets.scenes import key_of, register
 from assets.verdicts import reason_of
 from assets.workspace import Workspace, catalogue
@@ -128,8 +130,11 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
             return _failed(context, state, stage, StageKilledError(_KILLED_TWICE), _KILLED_TWICE)
         _say_that_it_is_begun(context, stage, scene)
         try:
+            for seen in newly_seen(context.instance, find_scene(scene), workspace, observed_by(stage)):
+                context.log_event(seen)
+            inputs = made_of(context.instance, stage.version, inputs_of(stage), scene)
             outcome = workspace.run_stage(stage.name, scene, context.log.info, stages=stages)
-            for event in events_of(stage, outcome, scene, context.instance):
+            for event in events_of(stage, outcome, scene, context.instance, inputs):
                 context.log_event(event)
         except NvsfError as error:
             return _failed(context, state, stage, error, reason_of(error, stage, scene))
@@ -180,7 +185,7 @@ def report_all(
 
     The page shows everything measured under the home, the table on the terminal only this run.
     """
-    inputs = made_of(context.instance, context.run_id)
+    inputs = report_made_of(context.instance, context.run_id)
     failures = {state["scene"]: state["failed"] for state in states if state["failed"]}
     measured = [state["scene"] for state in states if not state["failed"]]
     named = [state["scene"] for state in states]
