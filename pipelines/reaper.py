@@ -5,6 +5,7 @@ A killed run (SIGKILL, power) stays STARTED for ever: it holds its pool slots an
 knows none. Every run says which machine it is on, also one of the UI's button, which is of no job of ours.
 """
 
+import datetime
 import os
 import socket
 import time
@@ -71,14 +72,23 @@ def reap(instance: dg.DagsterInstance, quiet_s: float = _QUIET_S) -> list[str]:
 
 
 def stale_runs(instance: dg.DagsterInstance, quiet_s: float = _QUIET_S) -> list[dg.DagsterRun]:
-    """Runs that are said to run, and whose processes on this machine are gone.
+    """Runs that are said to run, and whose processes on this machine are gone; and those that never began.
+
+    A process that is killed between recording its run and beginning it leaves a run that nothing begins any
+    more: the scene counts as being made.
 
     Args:
         instance: The Dagster instance.
         quiet_s: A run with an event in the last `quiet_s` seconds is not stale.
     """
     started = dg.RunsFilter(statuses=[dg.DagsterRunStatus.STARTED, dg.DagsterRunStatus.CANCELING])
-    return [run for run in instance.get_runs(started) if _is_stale(instance, run, quiet_s)]
+    patience = datetime.timedelta(seconds=instance.run_monitoring_start_timeout_seconds)
+    late = dg.RunsFilter(
+        statuses=[dg.DagsterRunStatus.NOT_STARTED],
+        created_before=datetime.datetime.now(datetime.UTC) - patience,
+    )
+    stale = [run for run in instance.get_runs(started) if _is_stale(instance, run, quiet_s)]
+    return [*stale, *instance.get_runs(late)]
 
 
 def _is_stale(instance: dg.DagsterInstance, run: dg.DagsterRun, quiet_s: float) -> bool:

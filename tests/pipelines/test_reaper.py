@@ -135,12 +135,26 @@ def test_a_killed_run_of_assets_is_marked_though_it_is_of_no_job_of_ours(
     assert _status(instance, run_id) == dg.DagsterRunStatus.FAILURE
 
 
-def test_a_run_that_goes_on_after_the_machine_was_started_again_is_of_its_new_boot(instance):
-    @dg.job
-    def empty(): ...
+def test_a_run_whose_process_was_killed_before_it_began_is_marked_once_it_is_late(tmp_path):
+    monitoring = "run_monitoring:\n  enabled: true\n  start_timeout_seconds: 2\n"
+    (tmp_path / "dagster.yaml").write_text(f"telemetry:\n  enabled: false\n{monitoring}")
+    with dg.DagsterInstance.from_config(str(tmp_path)) as instance:
+        late = instance.create_run_for_job(_empty)
+        assert reap(instance, quiet_s=0.0) == [], "its process is about to begin"
+        time.sleep(2.5)
+        young = instance.create_run_for_job(_empty)
+        assert reap(instance, quiet_s=0.0) == [late.run_id]
+        assert _status(instance, late.run_id) == dg.DagsterRunStatus.FAILURE
+        assert _status(instance, young.run_id) == dg.DagsterRunStatus.NOT_STARTED
 
+
+@dg.job
+def _empty(): ...
+
+
+def test_a_run_that_goes_on_after_the_machine_was_started_again_is_of_its_new_boot(instance):
     old = {HOST_TAG: f"{socket.gethostname()}/00000000", CLOCK_TAG: "1"}
-    run = instance.create_run_for_job(empty, tags=old)
+    run = instance.create_run_for_job(_empty, tags=old)
     say_which_host_runs_it(instance, run.run_id)
     assert {name: instance.get_run_by_id(run.run_id).tags[name] for name in host_tags()} == host_tags()
 
