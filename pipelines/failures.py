@@ -3,7 +3,9 @@
 import json
 import os
 import shlex
+import signal
 import subprocess
+import tempfile
 from typing import Any
 
 import dagster as dg
@@ -11,7 +13,8 @@ import dagster as dg
 COMMAND_VARIABLE = "NVSF_ON_FAILURE"
 CALLED_TAG = "nvsf/failure_command"
 """Tag of a run that has called the command itself, as a terminal's run does: a daemon need not be there."""
-_LONGEST_S = 60.0
+LONGEST_S = 10.0
+"""Of one call: a tick calls for up to five failures. Dagster ends it after 60 s, and calls for them again."""
 _MOST_WORDS = 4000
 
 
@@ -23,7 +26,8 @@ def named_command() -> str:
 def call_command(failure: dict[str, Any]) -> str:
     """Call the user's command with a failure as JSON on its standard input; returns what came of it.
 
-    A command that is absent, fails or hangs fails nothing else: only the returned words say so.
+    A command that is absent, fails or hangs fails nothing else: only the returned words say so. One that
+    hangs is ended with all that it started; what one that has ended left at work is not waited for.
 
     Args:
         failure: `run_id`, `job`, `scene` (empty for a run over several), `words`.
@@ -32,14 +36,28 @@ def call_command(failure: dict[str, Any]) -> str:
     if not command:
         return f"{COMMAND_VARIABLE} names no command"
     try:
-        done = subprocess.run(
-            shlex.split(command), input=json.dumps(failure), text=True, capture_output=True,
-            timeout=_LONGEST_S, check=False,
-        )  # fmt: skip
+        code, words = _called(shlex.split(command), json.dumps(failure))
     except (OSError, ValueError, subprocess.TimeoutExpired) as error:
         return f"{COMMAND_VARIABLE}: {error}"
-    said = (done.stderr or done.stdout).strip()[:_MOST_WORDS]
-    return f"{COMMAND_VARIABLE}: ended with {done.returncode}" + (f": {said}" if said else "")
+    return f"{COMMAND_VARIABLE}: ended with {code}" + (f": {words}" if words else "")
+
+
+def _called(command: list[str], words: str) -> tuple[int, str]:
+    """Exit status of a command, and what it said. Files, because a pipe ends with the last that holds it."""
+    with tempfile.TemporaryFile("w+") as given, tempfile.TemporaryFile("w+", errors="replace") as said:
+        given.write(words)
+        given.seek(0)
+        process = subprocess.Popen(
+            command, stdin=given, stdout=said, stderr=subprocess.STDOUT, start_new_session=True
+        )
+        try:
+            code = process.wait(LONGEST_S)
+        except BaseException:  # also where the run is interrupted, as `subprocess.run` does
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            raise
+        said.seek(0)
+        return code, said.read(_MOST_WORDS).strip()
 
 
 @dg.run_failure_sensor(

@@ -2,12 +2,16 @@
 
 import json
 import sys
+import time
 from pathlib import Path
 
 import dagster as dg
 import pytest
+from dagster._core.definitions.run_status_sensor_definition import _get_run_status_sensor_process_limit
+from dagster._grpc.utils import default_sensor_grpc_timeout
 
-from pipelines.failures import COMMAND_VARIABLE, call_command, failure_command
+from pipelines import failures
+from pipelines.failures import COMMAND_VARIABLE, LONGEST_S, call_command, failure_command
 
 
 @dg.op
@@ -51,3 +55,30 @@ def test_a_command_that_cannot_be_called_is_only_said(
 ) -> None:
     monkeypatch.setenv(COMMAND_VARIABLE, command)
     assert words in call_command({"run_id": "1"})
+
+
+def test_a_command_that_hangs_is_ended_with_all_that_it_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = tmp_path / "hangs.sh"
+    script.write_text(f"sleep 300 &\necho $! > {tmp_path / 'child'}\nwait\n")
+    monkeypatch.setenv(COMMAND_VARIABLE, f"sh {script}")
+    monkeypatch.setattr(failures, "LONGEST_S", 1.0)
+    assert "timed out after 1.0 seconds" in call_command({"run_id": "1"})
+    child = Path("/proc") / (tmp_path / "child").read_text().strip()
+    until_s = time.monotonic() + 10.0
+    while (child / "stat").is_file() and (child / "stat").read_text().split()[2] != "Z":
+        assert time.monotonic() < until_s, "what the command started goes on"
+        time.sleep(0.05)
+
+
+def test_what_a_command_leaves_at_work_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(COMMAND_VARIABLE, "sh -c 'sleep 20 & echo sent'")
+    started_s = time.monotonic()
+    assert call_command({"run_id": "1"}) == f"{COMMAND_VARIABLE}: ended with 0: sent"
+    assert time.monotonic() - started_s < 10.0
+
+
+def test_commands_that_hang_leave_a_tick_the_time_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DAGSTER_GRPC_TIMEOUT_SECONDS", raising=False)
+    assert _get_run_status_sensor_process_limit() * LONGEST_S <= default_sensor_grpc_timeout() - 10.0
