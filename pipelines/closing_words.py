@@ -85,14 +85,23 @@ def next_view(run: SceneRun) -> list[str]:
 
 def next_ui(run_id: str) -> list[str]:
     """Lines with the command that starts Dagster's UI, and where it shows a run."""
-    root = Path(__file__).resolve().parents[1]
+    package = Path(__file__).resolve().parent
+    root = package.parent
     place = {"DAGSTER_HOME": _absolute(os.environ.get("DAGSTER_HOME", ""))}
     command = _command(["make", "-C", str(root), "ui"], place)
     if not (root / "Makefile").is_file() or "'" in command:  # make takes no path with a blank
         program = str(Path(sys.executable).with_name("dagster"))
-        command = _command([program, "dev", "-m", "pipelines.definitions"], place)
+        # With -m the code location has another name than the one that runs of a terminal say they are of.
+        words = ["env", "-u", "DAGSTER_MODULE_NAME", program, "dev", "-w", str(_workspace(package))]
+        command = _command(words, place)
     return ["the lineage, and all of this run, in Dagster's UI on http://127.0.0.1:3000:", f"  {command}",
             f"  then /runs/{run_id}"]  # fmt: skip
+
+
+def _workspace(package: Path) -> Path:
+    """The file that names the code location: beside the package in a checkout, in it once installed."""
+    beside = package.parent / "workspace.yaml"
+    return beside if beside.is_file() else package / "workspace.yaml"
 
 
 def _command(words: Sequence[str], more: Mapping[str, str] | None = None) -> str:

@@ -1,16 +1,20 @@
 """What a run says to type is taken by a new shell in any folder, for the training that was asked for."""
 
+import shlex
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from dagster._core.workspace.load import location_origins_from_yaml_paths
 
+from assets.origin import LOCATION, MODULE
 from nvsf_core.stages import find_scene, plan_run
 from nvsf_core.stages.runner.record import RECORD_NAME
 from nvsf_core.stores.documents import write_document
 from pipelines.cli import _chosen, main
-from pipelines.closing_words import closing_words, next_ui, next_view
+from pipelines.closing_words import _workspace, closing_words, next_ui, next_view
 from tests.records import record_of_output
 
 
@@ -72,6 +76,19 @@ def test_a_failed_scene_is_neither_up_to_date_nor_unmeasured() -> None:
     assert later[1] == "bad: failed after 1 stages, 3 s"
 
 
+def test_without_make_the_ui_s_code_location_is_the_one_that_runs_of_a_terminal_name(home: Path) -> None:
+    *command, workspace = shlex.split(next_ui("1")[1])  # make takes no blanks, as in this home's path
+    assert command[-6:-3] == ["env", "-u", "DAGSTER_MODULE_NAME"] and command[-2:] == ["dev", "-w"]
+    (origin,) = location_origins_from_yaml_paths([workspace])
+    assert origin.location_name == LOCATION and origin.loadable_target_origin.module_name == MODULE
+
+
+def test_a_wheel_has_the_workspace_where_it_is_looked_for(repo: Path) -> None:
+    built = tomllib.loads((repo / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    inside = built["force-include"]["workspace.yaml"]
+    assert _workspace(Path("/site/pipelines")) == Path("/site") / inside
+
+
 @pytest.mark.cli
 def test_commands_to_go_on_with_run_in_a_new_shell_elsewhere(
     home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -85,7 +102,6 @@ def test_commands_to_go_on_with_run_in_a_new_shell_elsewhere(
 
     command = next_view(plan_run(find_scene("tiny"), home, recipe="smoke"))[-1]
     assert said_by(f"{command} --check").startswith("tiny, view: ")
-    assert "dagster dev -m pipelines.definitions" in next_ui("1")[1]
     monkeypatch.setenv("NVSF_HOME", "home")  # make takes no blanks
     monkeypatch.setenv("DAGSTER_HOME", "instance")
     started = said_by(next(line for line in next_ui("1") if "DAGSTER_HOME" in line) + " -n")
