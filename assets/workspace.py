@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import dagster as dg
+from pydantic import Field
 
 from nvsf_core.drives.catalogue import SceneEntry, catalogue_from_environment, home_from_environment
 from nvsf_core.errors import NvsfError
@@ -19,18 +20,26 @@ from nvsf_core.stages.runner.trained import newest_field
 from nvsf_core.stores.removal import number_kept
 from nvsf_core.stores.scene_store import SceneStore, require_home
 
+_LABEL = "manual"
+
 
 class Workspace(dg.ConfigurableResource):
     """Recipe, seeds and data set label of a run; empty fields are read from the environment."""
 
-    recipe: str = ""
-    """Preset; empty = RECIPE, else the catalogue's choice for the scene, else `lean`."""
-    seed: int | None = None
-    """Seed of training; None = SEED, else 0."""
-    draw_seed: int | None = None
-    """Seed of ray drop and range noise in a data set; None = 0, in `regenerate_synthetic` one of its own."""
-    dataset_label: str = "manual"
-    """First part of a data set's version."""
+    # Dagster's launchpad lets null through for each field that has a default.
+    recipe: str | None = Field(
+        default=None,
+        description="Preset; empty = RECIPE, else the catalogue's choice for the scene, else `lean`.",
+    )
+    seed: int | None = Field(default=None, description="Seed of training; empty = SEED, else 0.")
+    draw_seed: int | None = Field(
+        default=None,
+        description="Seed of ray drop and range noise in a data set; empty = 0, in `regenerate_synthetic` "
+        "one of its own.",
+    )
+    dataset_label: str | None = Field(
+        default=_LABEL, description=f"First part of a data set's version; empty = {_LABEL}."
+    )
 
     def home(self) -> Path:
         """NVSF_HOME, else `.nvsf` in the working directory."""
@@ -112,7 +121,7 @@ class Workspace(dg.ConfigurableResource):
             "recipe": self.recipe or os.environ.get("RECIPE") or None,
             "seed": seed_from_text(os.environ.get("SEED") or "0", "SEED") if self.seed is None else self.seed,
             "draw_seed": self.draw_seed or 0,
-            "dataset_label": self.dataset_label,
+            "dataset_label": self.dataset_label or _LABEL,
         }
 
 

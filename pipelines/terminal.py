@@ -90,7 +90,14 @@ def with_bar(line: str) -> str:
 
 
 @dg.logger(
-    config_schema={"log_level": dg.Field(str, is_required=False, default_value="INFO")},
+    config_schema={
+        "log_level": dg.Field(
+            str,
+            is_required=False,
+            default_value="INFO",
+            description="The least level of the messages that are written; DEBUG also writes Dagster's own.",
+        )
+    },
     description="One short line a message on standard error.",
 )
 def terse_logger(context: dg.InitLoggerContext) -> logging.Logger:

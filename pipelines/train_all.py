@@ -53,8 +53,10 @@ _KILLED_TWICE = (
 class SceneChoice(dg.Config):
     """The scenes to train."""
 
-    scenes: list[str] = Field(default=[])
-    """Names; empty = SCENES (separated by blanks), else all scenes of the catalogue that have data."""
+    scenes: list[str] | None = Field(
+        default=None,
+        description="Names; empty = SCENES (separated by blanks), else all of the catalogue that have data.",
+    )
 
 
 @dg.op(
