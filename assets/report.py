@@ -1,7 +1,7 @@
 """Report: one page over all scenes."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import dagster as dg
 
@@ -33,14 +33,19 @@ CURVES = Path(__file__).resolve().parents[1] / "benchmarks" / "results" / "curve
 def benchmark_report(workspace: Workspace) -> dg.MaterializeResult:
     """Make the page from all scenes that have metrics, of any recipe and seed."""
     home = workspace.home()
-    written = write_benchmark_report(home)
-    return dg.MaterializeResult(
-        metadata={
-            "path": dg.MetadataValue.path(str(written.path)),
-            "scenes": dg.MetadataValue.int(written.scenes),
-            "scenes_without_data": dg.MetadataValue.int(written.scenes_without_data),
-        }
-    )
+    return dg.MaterializeResult(metadata=report_metadata(home, write_benchmark_report(home)))
+
+
+def report_metadata(home: Path, page: Path) -> dict[str, dg.MetadataValue]:
+    """Metadata of a report: its page, how many scenes have metrics, and how many have no data."""
+    from nvsf_core.reporting.scene_outputs import measured_scenes  # see `write_benchmark_report`
+
+    measured = measured_scenes(home)
+    return {
+        "path": dg.MetadataValue.path(str(page)),
+        "scenes": dg.MetadataValue.int(len(measured)),
+        "scenes_without_data": dg.MetadataValue.int(len(_without_data(measured))),
+    }
 
 
 def report_made_of(instance: dg.DagsterInstance, run_id: str) -> dict[str, str]:
@@ -49,24 +54,18 @@ def report_made_of(instance: dg.DagsterInstance, run_id: str) -> dict[str, str]:
     return made_of(instance, run_id, inputs)  # a run's id, as Dagster has it where there is no code version
 
 
-class WrittenReport(NamedTuple):
-    """Path of the page, and how many scenes it shows."""
-
-    path: Path
-    scenes: int
-    scenes_without_data: int
-
-
-def write_benchmark_report(home: Path) -> WrittenReport:
-    """Make the page from all metrics under `home`, without Dagster."""
+def write_benchmark_report(home: Path) -> Path:
+    """Make the page from all metrics under `home`, without Dagster; returns its path."""
     # Here, because they load matplotlib and zarr, for which no start of Dagster should wait.
     from nvsf_core.reporting.scene_outputs import measured_scenes
     from nvsf_core.stages.benchmark_report import make_benchmark_report
 
-    measured = measured_scenes(home)
-    no_data = [entry.name for entry in catalogue() if entry.name not in measured and not _is_there(entry)]
-    path = make_benchmark_report(home, [], {}, no_data, CURVES)
-    return WrittenReport(path, len(measured), len(no_data))
+    return make_benchmark_report(home, [], {}, _without_data(measured_scenes(home)), CURVES)
+
+
+def _without_data(measured: Sequence[str]) -> list[str]:
+    """Scenes of the catalogue that were not measured and whose recordings are not here."""
+    return [entry.name for entry in catalogue() if entry.name not in measured and not _is_there(entry)]
 
 
 def _is_there(entry: SceneEntry) -> bool:

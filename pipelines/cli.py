@@ -290,7 +290,7 @@ def report() -> None:
     from assets.report import write_benchmark_report
     from nvsf_core.drives.catalogue import home_from_environment
 
-    click.echo(write_benchmark_report(home_from_environment(os.environ)).path)
+    click.echo(write_benchmark_report(home_from_environment(os.environ)))
 
 
 @main.command()

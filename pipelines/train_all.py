@@ -23,7 +23,7 @@ from assets.factory import events_of, failed_checks, inputs_of, observed_by
 from assets.metadata import exported_folders
 from assets.origin import TERMINAL_TAG, say_whose_run_it_is
 from assets.provenance import made_of
-from assets.report import CURVES, REPORT, report_made_of
+from assets.report import CURVES, REPORT, report_made_of, report_metadata
 from assets.scenes import key_of, register
 from assets.verdicts import reason_of
 from assets.workspace import Workspace, catalogue
@@ -201,7 +201,7 @@ def report_all(
     from nvsf_core.stages.benchmark_report import make_benchmark_report
 
     path = make_benchmark_report(workspace.home(), named, failures, absent, CURVES)
-    metadata = {"path": dg.MetadataValue.path(str(path))}
+    metadata = report_metadata(workspace.home(), path)
     context.log_event(dg.AssetMaterialization(asset_key=key_of(REPORT), metadata=metadata, tags=inputs))
     words = closing_words(rows, states, failures, absent, path)
     shown = [scene for scene in measured if scene not in failures]

@@ -9,9 +9,10 @@ import pytest
 from dagster._core.definitions.data_version import CachingStaleStatusResolver
 from dagster._core.loader import LoadingContextForTest
 
-from assets.report import write_benchmark_report
+from assets.report import benchmark_report, write_benchmark_report
 from assets.scenes import DATA_VERSION, SCENES, key_of
 from assets.verdicts import CHECK_NAME
+from assets.workspace import Workspace
 from nvsf_core.errors import DataError
 from nvsf_core.metrics.table import COLUMNS
 from nvsf_core.stages.runner.stage import Check, Stage, StageOutput
@@ -110,6 +111,19 @@ def test_a_failing_scene_leaves_the_others_and_fails_the_run(run_job, tmp_path):
     assert "FAILED  bad: frames: the scan is torn" in said
     assert (tmp_path / "home/benchmark_report/index.html").is_file()
     assert result.failure_data_for_node("fail_if_any_failed").error.message.count("bad") == 1
+
+
+def test_the_event_of_the_report_has_what_the_report_s_own_asset_says_of_it(run_job, instance):
+    result, _ = run_job("good")
+    made = dg.materialize([benchmark_report], instance=instance, resources={"workspace": Workspace()})
+    (by_job,) = [
+        one.event_specific_data.materialization.metadata
+        for one in _events(result, "ASSET_MATERIALIZATION")
+        if one.asset_key == key_of("benchmark_report")
+    ]
+    (by_asset,) = made.asset_materializations_for_node("nvsf__benchmark_report")
+    assert by_job == by_asset.metadata
+    assert (by_job["scenes"].value, by_job["scenes_without_data"].value) == (1, 1)
 
 
 def test_a_failed_scene_has_a_failed_check(run_job):
