@@ -28,7 +28,8 @@ _KINDS = {
     "dataset": ("pointcloud", "png", "json"),
 }
 DEVICE_POOL = "device"
-"""Pool of what trains: the UI shows what waits for it. The lock of the device keeps trainings apart."""
+"""Pool of what trains in runs of assets: the UI shows what waits for it. The lock of the device keeps all
+trainings apart, also those of `train_all_scenes`, whose ops are in no pool; who waits for it says so."""
 FRESH = dg.FreshnessPolicy.time_window(
     fail_window=datetime.timedelta(days=8), warn_window=datetime.timedelta(days=7, hours=12)
 )

@@ -80,7 +80,12 @@ def _verdict(named: NamedCheck, check: Check | None, scene: str) -> dict[str, An
     """As `verdicts`, of one named check. Value and limit are numbers, so that the UI plots them over time."""
     if check is None:
         reason = f"{NOT_RUN}: this output was made before the check was"
-        return {"check_name": named.name, "passed": True, "description": f"scene {scene}: {reason}"}
+        return {
+            "check_name": named.name,
+            "passed": False,  # nobody knows; a warning holds nothing up
+            "severity": dg.AssetCheckSeverity.WARN,
+            "description": f"scene {scene}: {reason}",
+        }
     numbers = {"value": check.value, "limit": check.limit}
     # A NaN cannot travel to the UI as a number; the description says it.
     metadata: dict[str, dg.MetadataValue] = {

@@ -13,7 +13,7 @@ from assets.verdicts import CHECK_NAME
 from assets.workspace import Workspace
 from nvsf_core.stages.runner.failures import remembered_failures
 from nvsf_core.stages.runner.record import content_of
-from nvsf_core.stages.runner.stage import Check, Stage, StageOutput
+from nvsf_core.stages.runner.stage import Check, NamedCheck, Stage, StageOutput
 from pipelines.definitions import defs
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -92,6 +92,22 @@ def test_a_failed_law_that_does_not_block_warns(materialize, tmp_path):
     assert result.success and (tmp_path / "demo/frames").is_dir()
     (check,) = result.get_asset_check_evaluations()
     assert not check.passed and check.severity is dg.AssetCheckSeverity.WARN
+
+
+def test_a_check_that_an_earlier_output_never_had_is_no_pass(materialize, tmp_path):
+    later = NamedCheck(name="rows_are_whole", description="All rows are there.")
+    assert materialize(_output()).success
+    stage = dataclasses.replace(_stage(_output()), named_checks=(later,))
+    with dg.DagsterInstance.ephemeral() as instance:
+        register(instance, ["demo"])
+        done = dg.materialize(
+            [asset_of(stage, [stage])], partition_key="demo", instance=instance,
+            resources={"workspace": Workspace()},
+        )  # fmt: skip
+    assert done.success
+    (said,) = (one for one in done.get_asset_check_evaluations() if one.check_name == later.name)
+    assert (said.passed, said.severity) == (False, dg.AssetCheckSeverity.WARN)
+    assert "not run: this output was made before the check was" in said.description
 
 
 def test_a_large_picture_is_named_instead_of_stored(tmp_path):
