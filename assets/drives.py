@@ -5,11 +5,8 @@ from collections.abc import Callable, Iterable
 
 import dagster as dg
 
-# Not exported by Dagster, which calls it for each observed asset itself; it is held below 1.14.
-from dagster._core.definitions.external_asset import create_external_asset_from_source_asset
-
 from assets.provenance import newest_version
-from assets.scenes import DATA_VERSION, OWNERS, SCENES, key_of
+from assets.scenes import DATA_VERSION, SCENES, key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.errors import NvsfError
@@ -87,7 +84,7 @@ def newly_seen(
     ]
 
 
-def _observed(name: str) -> dg.AssetsDefinition:
+def _observed(name: str) -> dg.AssetsDefinition | dg.SourceAsset:
     """An asset that is observed, by the UI's button or the sensor `new_drives`, and never made."""
 
     @dg.observable_source_asset(
@@ -109,8 +106,7 @@ def _observed(name: str) -> dg.AssetsDefinition:
                 context.log.warning(f"[{entry.name}] not observed: {error}")
         return dg.DataVersionsByPartition(found)
 
-    owned = create_external_asset_from_source_asset(observe)  # the decorator takes no owners
-    return owned.map_asset_specs(lambda spec: spec.replace_attributes(owners=OWNERS))
+    return observe
 
 
 drive_assets = [_observed(name) for name in VERSIONS]

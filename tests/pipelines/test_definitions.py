@@ -43,10 +43,9 @@ def test_every_stage_is_an_asset_with_group_description_partitions_and_its_check
         offer = OFFERS[stage.name][0] if stage.name in OFFERS else None
         assert all(spec.description for spec in specs)
         assert all(spec.partitions_def == SCENES for spec in specs if spec.name != offer)
-        assert node.automation_condition
+        assert node.owners and node.kinds and node.automation_condition
         assert (node.pools == {"device"}) == (stage.name == "field")
         assert node.backfill_policy == dg.BackfillPolicy.multi_run(max_partitions_per_run=1)
-    assert all(graph.get(key).owners and graph.get(key).kinds for key in graph.get_all_asset_keys())
     assert {key.path[-1] for key in graph.get_all_asset_keys() if graph.get(key).freshness_policy} == {
         "dataset", "benchmark_report",
     }  # fmt: skip

@@ -17,9 +17,9 @@ from nvsf_core.drives.kitti360.images import decode_picture, jpeg_size, read_ima
 from nvsf_core.drives.kitti360.layout import CAMERAS
 from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan_bytes
 from nvsf_core.drives.plain.layout import IMAGE_KINDS, numbered_files
-from nvsf_core.drives.plain.unread import require_one_of_each, unnamed_files
 from nvsf_core.drives.posed import AbstractPosedDrive
 from nvsf_core.drives.section import Section
+from nvsf_core.drives.unread import require_one_of_each, unnamed_files
 from nvsf_core.errors import CalibrationError
 from nvsf_core.geometry.pinhole import Pinhole, intrinsics_fault
 from nvsf_core.geometry.se3 import invert_pose

@@ -16,8 +16,8 @@ from nvsf_core.drives.kitti.files import (
 from nvsf_core.drives.kitti.poses import read_poses, read_seconds
 from nvsf_core.drives.kitti360.calibration import Calibration
 from nvsf_core.drives.kitti360.text import KeyedText
-from nvsf_core.drives.plain.unread import unread_columns
 from nvsf_core.drives.posed import PosePath, require_ascending
+from nvsf_core.drives.unread import unread_columns
 from nvsf_core.errors import CalibrationError, DataError
 
 _NUMBERS = {f"image_0{number}": number for number in range(4)}

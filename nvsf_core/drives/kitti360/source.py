@@ -27,8 +27,8 @@ from nvsf_core.drives.kitti360.images import decode_image, read_image_bytes
 from nvsf_core.drives.kitti360.layout import CAMERAS, FISHEYE_CAMERAS, DriveLayout
 from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan_bytes
 from nvsf_core.drives.kitti360.text import require_folder
-from nvsf_core.drives.plain.unread import require_none_in, unnamed_files, unread_columns, with_folders_below
 from nvsf_core.drives.section import Section
+from nvsf_core.drives.unread import require_none_in, unnamed_files, unread_columns, with_folders_below
 from nvsf_core.sensors.tables import HDL_64E
 
 

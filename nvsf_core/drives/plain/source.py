@@ -21,10 +21,10 @@ from nvsf_core.drives.plain.clouds import Columns, read_bin, read_pcd, read_ply
 from nvsf_core.drives.plain.description import Description, read_cameras, read_description, read_json
 from nvsf_core.drives.plain.layout import IMAGE_KINDS, SCAN_KINDS, PlainLayout, numbered_files
 from nvsf_core.drives.plain.tables import read_pose_table, read_times
-from nvsf_core.drives.plain.unread import require_one_of_each, unknown_names, unnamed_files
 from nvsf_core.drives.point_times import after_frame
 from nvsf_core.drives.posed import AbstractPosedDrive, PosePath
 from nvsf_core.drives.section import Section
+from nvsf_core.drives.unread import require_one_of_each, unknown_names, unnamed_files
 from nvsf_core.errors import DataError
 
 _MOST_POINT_BYTES = 256
