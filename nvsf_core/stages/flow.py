@@ -18,7 +18,7 @@ FRAMES = Stage(
     group="ingest",
     inputs=(),
     description="Every frame of the drive: when and where it was taken, and whether it can be used.",
-    version="10",
+    version="11",
     run=_later("frames", "run"),
     reads_drive=True,
 )
@@ -27,11 +27,11 @@ SWEEPS = Stage(
     group="ingest",
     inputs=("frames",),
     description="Every LiDAR return with its laser, firing and time, as the ray that measured it.",
-    version="14",
+    version="15",
     run=_later("sweeps", "run"),
     reads_drive=True,
     check=_later("checks.sweeps", "check_sweeps"),
-    check_version="7",
+    check_version="8",
     named_checks=SWEEP_CHECKS,
     estimate_bytes=_later("sizes", "sweeps_bytes"),
 )
@@ -90,7 +90,7 @@ NOVEL_VIEWS = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="37",
+    version="38",
     run=_later("novel_views", "run"),
     per_recipe=True,
     reads_views=True,
@@ -122,7 +122,7 @@ DATASET = Stage(
     inputs=("frames", "evidence", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
     " with a manifest of what they came from and a card of how wrong they are.",
-    version="14",
+    version="15",
     run=_later("dataset", "run"),
     per_recipe=True,
     per_draw=True,
