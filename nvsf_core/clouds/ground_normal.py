@@ -52,9 +52,9 @@ def ground_normals(
     found, below = {}, []
     for k in chosen.tolist():
         around_m = np.concatenate(clouds_m[max(0, k - _SCANS_AROUND) : k + _SCANS_AROUND + 1])
-        from_lidar_m = around_m - lidar_to_scene[k, :3, 3]
-        placed_m, *facing = surface_normals(from_lidar_m[np.linalg.norm(from_lidar_m, axis=1) < _NEAR_M])
-        ground = _most_common(placed_m, *facing)
+        near = np.linalg.norm(around_m - lidar_to_scene[k, :3, 3], axis=1) < _NEAR_M
+        placed_m, *facing = surface_normals(around_m[near])
+        ground = _most_common(placed_m - lidar_to_scene[k, :3, 3], *facing)
         if ground is not None:
             found[k], share = ground
             below.append(share)
@@ -62,19 +62,19 @@ def ground_normals(
 
 
 def _most_common(
-    placed_m: np.ndarray, normals: np.ndarray, is_flat: np.ndarray
+    from_lidar_m: np.ndarray, normals: np.ndarray, is_flat: np.ndarray
 ) -> tuple[np.ndarray, float] | None:
-    """What half of the flat surfaces but walls face within 5 degrees: (3,) upwards, and the share below 0."""
+    """What half of the level surfaces face within 5 degrees, (3,) upwards; their share below the LiDAR."""
     upward = normals * np.where(normals[:, 2:] < 0.0, -1.0, 1.0)
     is_level = is_flat & (upward[:, 2] > _STEEPEST_COS)
     if np.count_nonzero(is_level) < _FEWEST_NORMALS:
         return None
     step = -(-np.count_nonzero(is_level) // _MOST_NORMALS)
-    upward, placed_m = upward[is_level][::step], placed_m[is_level][::step]
+    upward, from_lidar_m = upward[is_level][::step], from_lidar_m[is_level][::step]
     is_alike = upward @ upward.T > _ALIKE_COS
     best = is_alike[is_alike.sum(axis=1).argmax()]
     if best.mean() < _LEAST_SHARE:
         return None
     mean = upward[best].mean(axis=0)
     normal: np.ndarray = mean / np.linalg.norm(mean)
-    return normal, float(np.mean(placed_m[best] @ normal < 0.0))
+    return normal, float(np.mean(from_lidar_m[best] @ normal < 0.0))

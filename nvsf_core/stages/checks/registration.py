@@ -48,7 +48,7 @@ Rings of returns travel with the sensor: where nothing else changes along the wa
 _LEAST_BELOW = 0.1
 """Least share of the level surfaces that must lie below the LiDAR; else the ground lies on its upper side.
 
-0.99 in streets, 0.96 in a tunnel, 0.81 with four lasers; 0.00 where scans' z points down. Under the ceiling
+0.97 in streets and a tunnel, 0.81 with four lasers; up to 0.03 where scans' z points down. Under the ceiling
 of a car park about half."""
 _Z_DOWN = (
     "the ground lies above the LiDAR, so the scans' z points down: write scans as x forward, y left, z up "
