@@ -96,6 +96,7 @@ def _view(folder, scan):
     counts = {"frame": np.array([HELD_OUT]), "time_s": np.array([0.2])}
     counts["lidar_to_world"] = _at(HELD_OUT)[None]
     counts["support"] = np.full(len(scan["laser"]), Support.SEEN, np.uint8)
+    counts |= {"train_seconds": np.array([60.0]), "peak_memory_mb": np.array([500.0])}
     along = {"ray_range_m": np.array([10.0, np.inf], np.float32), "ray_intensity": np.zeros(2, np.float32)}
     images = {
         f"{CAMERA}_rgb": _image(np.random.default_rng(5))[None],
