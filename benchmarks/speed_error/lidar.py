@@ -71,7 +71,7 @@ def _quarter_sweep(
             model, lidar, time_s, rays.origin_m, rays.direction, rays.laser, rays.fraction
         )
         return rays, put_back_own_vehicle(rendered, rays, lidar.evidence)
-    rays, rendered = fire_sweep(replace(model, unobserved=None), lidar, plan, time_s)
+    rays, rendered = fire_sweep(model, lidar, plan, time_s)
     kept = _in_sectors(rays)
     return _only(rays, kept), RenderedRays(
         rendered.range_m[kept], rendered.hit[kept], rendered.intensity[kept]

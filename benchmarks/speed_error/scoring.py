@@ -128,7 +128,7 @@ class Judge:
             return None
         warm_up(lidar, [model.lidar])
         started = time.perf_counter()
-        simulate_sweep(replace(model, unobserved=None), lidar, plan, float(plan.time_s[0]))
+        simulate_sweep(model, lidar, plan, float(plan.time_s[0]))
         return time.perf_counter() - started
 
     def image_seconds(self, model: SceneModel, *, thin: bool) -> float | None:

@@ -9,10 +9,12 @@ from nvsf_core.evidence.moving.object_evidence import MovingObject, ObjectEviden
 from nvsf_core.evidence.stationary_scans import StationaryScans
 from nvsf_core.evidence.surfels import Surfels
 
-_RENDERED, _UNKNOWN = "rendered_", "unknown_"
+_RENDERED = "rendered_"
 _LEFT_OUT, _LEFT_OUT_RENDERED = "left_out_", "left_out_rendered_"
 _GAPS = "unit_gaps"
 _PATH = ("scan", "time_s", "pose")
+ALL, MOST, NEVER = 1.0, 0.51, float("inf")
+"""Least share of the scans beside that returned, for a ray that meets no surface to be copied from them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +71,12 @@ class SceneEvidence:
     """Static surfels with shapes, in the voxel size that suits `reproject` best; None = `static`."""
     left_out: LeftOutEvidence | None = None
     """To compare candidates on the validation scans; None where there are too few scans to leave any out."""
-    unobserved: Surfels | None = None
-    """Unobserved voxels beside static ones, from `unobserved_beside`; None where there are none."""
     unit_gaps: np.ndarray | None = None
     """(lasers, cells) bool: firings of the recorded unit that never return, from `find_unit_gaps`; None where
     the sensor moved too little to tell."""
+    copied_share: float = ALL
+    """A ray that meets no surface is copied from the scans beside where at least this share of them returned,
+    `ALL`, `MOST` or `NEVER`."""
 
     @property
     def for_rendering(self) -> Surfels:
@@ -86,12 +89,12 @@ class SceneEvidence:
         stationary = {} if self.stationary is None else self.stationary.to_arrays()
         rendered = {} if self.rendered is None else _prefixed(_RENDERED, self.rendered)
         left_out = {} if self.left_out is None else self.left_out.to_arrays()
-        unobserved = {} if self.unobserved is None else _prefixed(_UNKNOWN, self.unobserved)
         gaps = {} if self.unit_gaps is None else {_GAPS: self.unit_gaps}
-        return self.static.to_arrays() | moving | stationary | rendered | left_out | unobserved | gaps | {
+        return self.static.to_arrays() | moving | stationary | rendered | left_out | gaps | {
             "prior_time_s": self.prior.time_s, "prior_fraction": self.prior.fraction,
             "prior_is_hit": self.prior.is_hit, "lasers": self.lasers, "firings": self.firings,
             "own_range_m": self.own_range_m, "own_intensity": self.own_intensity,
+            "copied_share": np.array(self.copied_share, np.float32),
         }  # fmt: skip
 
     @staticmethod
@@ -104,7 +107,7 @@ class SceneEvidence:
             own_range_m=a["own_range_m"], own_intensity=a["own_intensity"],
             objects=_objects_from(a), stationary=StationaryScans.from_arrays(a),
             rendered=_surfels(_RENDERED, a), left_out=LeftOutEvidence.from_arrays(a),
-            unobserved=_surfels(_UNKNOWN, a), unit_gaps=a.get(_GAPS),
+            unit_gaps=a.get(_GAPS), copied_share=float(a["copied_share"]),
         )  # fmt: skip
 
 

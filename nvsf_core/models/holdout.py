@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from nvsf_core._types import Scalar
-from nvsf_core.evidence.scene_evidence import LeftOutEvidence
+from nvsf_core.evidence.scene_evidence import ALL, MOST, NEVER, LeftOutEvidence
 from nvsf_core.evidence.surfels import Surfels
 from nvsf_core.kernels.threads import MOST_VIEWS, in_parts
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
@@ -176,7 +176,7 @@ def fire_left_out(
     """
     time_s = float(lidar.evidence.prior.time_s[number])
     plan = recorded_sweep(lidar.sweeps.table, time_s)
-    model = SceneModel(lidar=render, camera=None, prior_scans=prior_scans, correct=correct)
+    model = SceneModel(lidar=render, camera=None, prior_scans=prior_scans, correct=correct, copies_unmet=True)
     return fire_sweep(model, lidar, plan, time_s, leave_out_s=time_s)
 
 
@@ -206,6 +206,36 @@ def choose_copying(lidar: LidarRecording) -> tuple[LidarRecording, dict[str, Sca
     chosen = copying if found.wins("copied", "combined") else lidar
     figures = found.figures({"combined": "stationary_combined_", "copied": "stationary_copied_"})
     return chosen, {"stationary_shows": "copied" if chosen is copying else "combined", **figures}
+
+
+def choose_copied_share(lidar: LidarRecording) -> tuple[LidarRecording, dict[str, Scalar]]:
+    """The recording with the `copied_share` that suits the validation scans best, and the scores of all.
+
+    A ray that passes between all that was recorded leaves a hole where a surface goes on, and is right where
+    it ends: that differs from drive to drive. Without validation scans only what all scans say is copied.
+    """
+    left_out = lidar.evidence.left_out
+    if left_out is None:
+        return lidar, {}
+    shares = {"all": ALL, "most": MOST, "never": NEVER}
+    recordings = {
+        name: replace(lidar, evidence=replace(lidar.evidence, copied_share=share))
+        for name, share in shares.items()
+    }
+
+    def scores(recording: LidarRecording) -> Callable[[int], list[float]]:
+        return lambda number: score_left_out(
+            left_out_renderer(lidar, left_out, number), EvidenceSpec().votes, recording, number
+        )
+
+    found = compare(
+        SCAN_METRICS, left_out.validation.tolist(), {name: scores(one) for name, one in recordings.items()}
+    )
+    best = "all"
+    for name in ("most", "never"):
+        best = name if found.wins(name, best) else best
+    figures = found.figures({name: f"unmet_copied_by_{name}_" for name in shares})
+    return recordings[best], {"unmet_copied_by": best, **figures}
 
 
 def mean_range_error_m(

@@ -1,7 +1,8 @@
 """Builds the evidence of a drive from its training scans: static surfaces, moving objects, hit priors.
 
-Three choices are made by the errors on scans that are left out: the size of the coarsest voxels, which moving
-objects get a flow besides their rigid motion, and whether scans are copied where the sensor rested.
+Four choices are made by the errors on scans that are left out: the size of the coarsest voxels, which moving
+objects get a flow besides their rigid motion, whether scans are copied where the sensor rested, and which
+rays that meet no surface are copied.
 """
 
 from dataclasses import dataclass
@@ -23,9 +24,9 @@ from nvsf_core.evidence.moving.objects import prove_objects
 from nvsf_core.evidence.moving.visibility import TimedReturns
 from nvsf_core.evidence.scene_evidence import LeftOutEvidence, SceneEvidence
 from nvsf_core.evidence.stationary_scans import StationaryScans, find_stationary_scans, keep_scans
-from nvsf_core.evidence.surfels import COARSEST_M, StaticReturns, Surfels, unobserved_beside
+from nvsf_core.evidence.surfels import COARSEST_M, StaticReturns, Surfels
 from nvsf_core.kernels.threads import in_parts
-from nvsf_core.models.holdout import choose_copying, is_sure, mean_range_error_m
+from nvsf_core.models.holdout import choose_copied_share, choose_copying, is_sure, mean_range_error_m
 from nvsf_core.recording.drive import LidarRecording, Sweeps, training_returns
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import sweep_rays
@@ -131,14 +132,14 @@ def prove_scene(sweeps: Sweeps) -> tuple[SceneEvidence, dict[str, Scalar]]:
         stationary=_stationary_scans(sweeps, of_training, prior),
         rendered=shown,
         left_out=None if choice is None else choice.left_out,
-        unobserved=unobserved_beside(of_field, rays.origin_m, rays.direction, rays.range_m),
         unit_gaps=_unit_gaps(sweeps, prior, shown),
     )  # fmt: skip
     tried: dict[str, Scalar] = {"coarsest_voxel_m": coarsest_m}
     for edge_m, error_m in ({} if choice is None else choice.errors_m).items():
         tried[f"left_out_error_m_up_to_{1000 * edge_m:.0f}_mm"] = error_m
-    chosen, stationary = choose_copying(LidarRecording(sweeps=sweeps, evidence=evidence))
-    return chosen.evidence, tried | stationary
+    rested, stationary = choose_copying(LidarRecording(sweeps=sweeps, evidence=evidence))
+    chosen, unmet = choose_copied_share(rested)
+    return chosen.evidence, tried | stationary | unmet
 
 
 def _unit_gaps(sweeps: Sweeps, prior: DropPrior, surfels: Surfels) -> np.ndarray | None:

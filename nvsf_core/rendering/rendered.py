@@ -1,6 +1,6 @@
 """Results of rendering: LiDAR rays and camera images, and how well recorded data support them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -43,6 +43,13 @@ class RenderedRays:
     on_object: np.ndarray | None = None
     """(r,) bool: the ray ends on a moving object, where `hit` is the hit prior and nothing corrects it. None
     where the renderer does not say."""
+
+    def with_rays(self, rays: np.ndarray, found: "RenderedRays") -> "RenderedRays":
+        """A copy in which the rays of indices (k,) have range, hit probability and intensity of `found`."""
+        columns = {name: getattr(self, name).copy() for name in ("range_m", "hit", "intensity")}
+        for name, column in columns.items():
+            column[rays] = getattr(found, name)
+        return replace(self, **columns)
 
 
 @dataclass(frozen=True, slots=True)

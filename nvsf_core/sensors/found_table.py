@@ -323,6 +323,9 @@ def _lattice(groups: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray, np.n
         best = int(np.abs(waves).argmax())
         arms_m[k], peaks[k] = _ARMS_M[best], abs(waves[best])
         phases[k] = np.angle(waves[best]) / (2.0 * np.pi)
+    # A phase is one up to whole steps: half a step is not to be now 0.5, now -0.5, from laser to laser.
+    middle = np.angle(np.exp(2j * np.pi * phases).mean()) / (2.0 * np.pi)
+    phases = middle + (phases - middle + 0.5) % 1.0 - 0.5
     is_one = _has_one_begin([groups[k] for k in chosen], arms_m[chosen])
     return steps, float(np.median(peaks)) if is_one else 0.0, arms_m, phases
 

@@ -84,14 +84,6 @@ def reprojecting_renderer(lidar: LidarRecording) -> RayRenderer:
     )
 
 
-def unobserved_renderer(lidar: LidarRecording) -> RayRenderer | None:
-    """Renderer by unobserved voxels; None if the scene has none."""
-    unobserved = lidar.evidence.unobserved
-    if unobserved is None:
-        return None
-    return evidence_renderer(unobserved, None, most=EvidenceSpec().lidar_candidates, far_m=lidar.far_m)
-
-
 def image_renderer(surfels: Surfels, *, most: int, far_m: float) -> RayRenderer:
     """Renderer by surfels from images; a ray's total weight is its hit probability.
 

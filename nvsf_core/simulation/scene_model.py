@@ -85,9 +85,9 @@ class SceneModel:
     above: RayRenderer | None = None
     """For rays of other sensors that look above all recorded lasers and for which `lidar` finds no surface.
     None = such rays do not return."""
-    unobserved: RayRenderer | None = None
-    """For rays of the recording sensor at its own pose for which `lidar` finds no surface though their hit
-    prior is 1. None = such rays do not return."""
+    copies_unmet: bool = False
+    """Whether rays of the recording sensor in its own place that meet no surface are copied from scans that
+    returned there, see `copy_unmet`. Else such rays do not return."""
     prior_scans: int = 6
     """Number of nearest training scans in the hit prior."""
     as_recorded: bool = False

@@ -1,6 +1,6 @@
 """Simulation of one LiDAR sweep: rays rendered, the scan as a sensor records it, its pano, their support."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,7 +24,8 @@ from nvsf_core.simulation.scan import (
     put_back_own_vehicle,
     returns_of_sweep,
 )
-from nvsf_core.simulation.scene_model import RayRenderer, SceneModel
+from nvsf_core.simulation.scene_model import SceneModel
+from nvsf_core.simulation.unmet import copy_unmet
 from nvsf_core.simulation.view_plan import SweepPlan
 
 _AGREEING_SCANS = 2
@@ -140,12 +141,11 @@ def fire_sweep(
         is_above = _elevation_rad(plan, rays) > highest_rad(sweeps.table, evidence)
         missing = np.flatnonzero(is_above & ~np.isfinite(rendered.range_m))
         if len(missing):
-            rendered = _with(rendered, missing, model.above(*(column[missing] for column in columns)))
+            above = model.above(*(column[missing] for column in columns))
+            rendered = rendered.with_rays(missing, above)
     rendered = by_lasers(rendered, rays.laser, plan.table, as_recorded=model.as_recorded)
     if model.correct is not None and is_in_place:
         rendered = model.correct(rays, rendered, lookups or ScanLookups(lidar.scan_grids, near))
-    if model.unobserved is not None and is_in_place:
-        rendered = ask_unobserved(rendered, model.unobserved, *columns, rays.laser, plan.table)
     if is_in_place and not model.as_recorded:
         own = None if leave_out_s is None else int(np.abs(evidence.prior.time_s - leave_out_s).argmin())
         rendered = measured_when_stationary(rendered, rays.laser, rays.fraction, lidar, time_s, leave_out=own)
@@ -155,6 +155,8 @@ def fire_sweep(
         rendered = within_range(rendered, plan.table.max_range_m)
     if is_in_place and not model.as_recorded:
         rendered = add_mirrored(rendered, rays, lidar, model.lidar, time_s, leave_out_s=leave_out_s)
+    if model.copies_unmet and is_in_place:
+        rendered = copy_unmet(rendered, rays.laser, rays.fraction, hit_prior, lidar, near)
     return rays, rendered
 
 
@@ -181,23 +183,22 @@ def render_along(
     assert model.lidar is not None
     sweeps, evidence = lidar.sweeps, lidar.evidence
     known = np.maximum(laser, 0)
-    hit_prior = evidence.prior.hit_prior(
-        known, fraction, evidence.prior.nearest_scans(time_s, model.prior_scans)
-    )
+    near = evidence.prior.nearest_scans(time_s, model.prior_scans)
+    hit_prior = evidence.prior.hit_prior(known, fraction, near)
     elapsed = sweeps.clock_near(time_s).elapsed(fraction.astype(np.float64))
     columns = (origin_m, direction, hit_prior, time_s + elapsed * sweeps.period_s)
     rendered = render_in_chunks(model.lidar, *columns)
     rendered = by_lasers(rendered, laser, sweeps.table, as_recorded=model.as_recorded)
-    if model.unobserved is not None:
-        rendered = ask_unobserved(rendered, model.unobserved, *columns, laser, sweeps.table)
-    if model.as_recorded:
-        return rendered
-    measured = measured_when_stationary(rendered, known, fraction, lidar, time_s)
-    # What stationary scans measured is known by laser.
-    names = ("range_m", "hit", "intensity")
-    return RenderedRays(
-        *(np.where(laser >= 0, getattr(measured, name), getattr(rendered, name)) for name in names)
-    )
+    if not model.as_recorded:
+        measured = measured_when_stationary(rendered, known, fraction, lidar, time_s)
+        # What stationary scans measured is known by laser.
+        names = ("range_m", "hit", "intensity")
+        rendered = RenderedRays(
+            *(np.where(laser >= 0, getattr(measured, name), getattr(rendered, name)) for name in names)
+        )
+    if model.copies_unmet:
+        rendered = copy_unmet(rendered, laser, fraction, hit_prior, lidar, near)
+    return rendered
 
 
 def _elevation_rad(plan: SweepPlan, rays: SweepRays) -> np.ndarray:
@@ -225,45 +226,7 @@ def within_range(rendered: RenderedRays, max_range_m: float) -> RenderedRays:
     if len(beyond) == 0:
         return rendered
     nothing = np.zeros(len(beyond), np.float32)
-    return _with(rendered, beyond, RenderedRays(nothing + np.float32(np.inf), nothing, nothing))
-
-
-# Wide: five of them are columns of the rays.
-def ask_unobserved(
-    rendered: RenderedRays,
-    unobserved: RayRenderer,
-    origin_m: np.ndarray,
-    direction: np.ndarray,
-    hit_prior: np.ndarray,
-    time_s: np.ndarray,
-    laser: np.ndarray,
-    table: LaserTable,
-) -> RenderedRays:
-    """Render again, by `unobserved`, the rays that meet no surface though all nearby scans returned there.
-
-    Args:
-        rendered: In the convention of stored scans, as `by_lasers` gives them.
-        unobserved: See `SceneModel`.
-        origin_m: (r, 3) scene-local, metres.
-        direction: (r, 3) unit, scene-local axes.
-        hit_prior: (r,) share of the nearest training scans that returned; 1 for the rays that are replaced.
-        time_s: (r,) seconds since the first frame, when each ray is fired.
-        laser: (r,) row of the table; -1 = unknown.
-        table: The sensor's.
-    """
-    missing = np.flatnonzero(~np.isfinite(rendered.range_m) & (hit_prior >= 1.0))
-    if len(missing) == 0:
-        return rendered
-    found = unobserved(origin_m[missing], direction[missing], hit_prior[missing], time_s[missing])
-    return _with(rendered, missing, by_lasers(found, laser[missing], table, as_recorded=False))
-
-
-def _with(rendered: RenderedRays, rays: np.ndarray, found: RenderedRays) -> RenderedRays:
-    """A copy in which the rays of indices (k,) are replaced by `found`."""
-    columns = {name: getattr(rendered, name).copy() for name in ("range_m", "hit", "intensity")}
-    for name, column in columns.items():
-        column[rays] = getattr(found, name)
-    return replace(rendered, **columns)
+    return rendered.with_rays(beyond, RenderedRays(nothing + np.float32(np.inf), nothing, nothing))
 
 
 def support_of_sweep(
@@ -275,8 +238,8 @@ def support_of_sweep(
     A ray shows a return or none. Of the nearest scans those tell that looked at its end and were not kept
     from it by something nearer. The ray is *seen* if two recorded the same there, from about the same
     direction and distance, and none something else: agreement says most about a ray's error. It is *guessed*
-    if its end is where no return was ever recorded, be it that images or unobserved voxels answer; or, of a
-    ray without an end, if no scan looked that way. All else is *extrapolated*.
+    if its end is where no return was ever recorded, as where images answer; or, of a ray without an end, if
+    no scan looked that way. All else is *extrapolated*.
 
     Args:
         lidar: The recording.
@@ -308,13 +271,9 @@ def support_of_sweep(
 
 def _is_recorded(evidence: SceneEvidence, rays: SweepRays, ends_m: np.ndarray) -> np.ndarray:
     """Whether (r,) bool a return was recorded in the voxel that a ray ends in, just before or behind it."""
-    here = _holds(evidence.static, ends_m)
-    found = here.copy()
+    found = _holds(evidence.static, ends_m)
     for shift_m in (-_SHIFT_M, _SHIFT_M):
         found |= _holds(evidence.static, ends_m + shift_m * rays.direction)
-    if evidence.unobserved is not None:
-        # An unobserved voxel lies beside a surface, but nothing was recorded in it.
-        found &= here | ~_holds(evidence.unobserved, ends_m)
     return found
 
 

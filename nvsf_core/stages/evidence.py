@@ -42,7 +42,6 @@ def run(task: Task) -> StageOutput:
             "planar_share": float(surfels.is_planar.mean()),
             "seen_through_share": seen_through,
             **_plane_thickness(surfels),
-            "unknown_voxels": 0 if evidence.unobserved is None else len(evidence.unobserved.hits),
             "own_vehicle_cells": int((evidence.own_range_m > 0).sum()),
             "unit_gaps_share": 0.0 if evidence.unit_gaps is None else float(evidence.unit_gaps.mean()),
         },

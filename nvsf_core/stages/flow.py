@@ -27,7 +27,7 @@ SWEEPS = Stage(
     group="ingest",
     inputs=("frames",),
     description="Every LiDAR return with its laser, firing and time, as the ray that measured it.",
-    version="15",
+    version="16",
     run=_later("sweeps", "run"),
     reads_drive=True,
     check=_later("checks.sweeps", "check_sweeps"),
@@ -59,7 +59,7 @@ EVIDENCE = Stage(
     inputs=("frames", "sweeps"),
     description="What the training sweeps prove without learning: surfels in voxels, see-throughs, "
     "hit priors, the own vehicle, and what moves and how.",
-    version="25",
+    version="26",
     run=_later("evidence", "run"),
     estimate_bytes=_later("sizes", "proof_bytes"),
 )
@@ -90,7 +90,7 @@ NOVEL_VIEWS = Stage(
     inputs=("frames", "sweeps", "undistorted", "evidence", "mesh", "field"),
     description="Rendered LiDAR scans and images of the held-out frames, with the baselines, and of every "
     "view that was asked for; by the baselines, too, where a view's truth is known.",
-    version="38",
+    version="39",
     run=_later("novel_views", "run"),
     per_recipe=True,
     reads_views=True,

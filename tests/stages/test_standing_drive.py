@@ -52,7 +52,7 @@ def static(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
     for name, model in models.items():
         assert model.lidar is not None
         made = [
-            simulate_sweep(replace(model, correct=None, unobserved=None), lidar, plan, float(instant))
+            simulate_sweep(replace(model, correct=None), lidar, plan, float(instant))
             for instant in plan.time_s
         ]
         joined = {key: np.concatenate([getattr(one, key) for one in made]) for key in KEYS}

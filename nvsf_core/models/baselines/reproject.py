@@ -13,7 +13,7 @@ from nvsf_core.rendering.rendered import RenderedImage
 from nvsf_core.rendering.reproject_camera import nearest_sources, render_by_warping, splat_points
 from nvsf_core.rendering.sources import Sources
 from nvsf_core.rendering.warping import relative_motion, to_float
-from nvsf_core.simulation.ray_renderers import reprojecting_renderer, unobserved_renderer
+from nvsf_core.simulation.ray_renderers import reprojecting_renderer
 from nvsf_core.simulation.scene_model import ImageRenderer, SceneModel
 
 _DEPTH_SCANS = 10
@@ -24,8 +24,7 @@ def reprojection(recording: Recording) -> SceneModel:
     """The baseline of a scene, the same for every recipe."""
     lidar = None if recording.lidar is None else reprojecting_renderer(recording.lidar)
     camera = warping_renderer(recording) if recording.cameras else None
-    unobserved = None if recording.lidar is None else unobserved_renderer(recording.lidar)
-    return SceneModel(lidar=lidar, camera=camera, unobserved=unobserved, prior_scans=EvidenceSpec().votes)
+    return SceneModel(lidar=lidar, camera=camera, prior_scans=EvidenceSpec().votes, copies_unmet=True)
 
 
 def warping_renderer(recording: Recording) -> ImageRenderer:

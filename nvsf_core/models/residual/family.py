@@ -20,7 +20,7 @@ from nvsf_core.models.residual.raydrop_grid import FEATURES as HITS_FEATURES
 from nvsf_core.models.residual.raydrop_grid import SweepRaydrop
 from nvsf_core.recipe.residual import ResidualRecipe
 from nvsf_core.recording.drive import LidarRecording, Recording
-from nvsf_core.simulation.ray_renderers import field_renderer, reprojecting_renderer, unobserved_renderer
+from nvsf_core.simulation.ray_renderers import field_renderer, reprojecting_renderer
 from nvsf_core.simulation.raydrop import HitBlend
 from nvsf_core.simulation.scene_model import SceneModel
 
@@ -123,9 +123,8 @@ def load(
     """
     facts = weights.facts
     fields = make_fields(recipe, recording, 0)
-    model = SceneModel(lidar=None, camera=None, prior_scans=recipe.evidence.votes)
+    model = SceneModel(lidar=None, camera=None, prior_scans=recipe.evidence.votes, copies_unmet=True)
     if recording.lidar is not None:
-        model = replace(model, unobserved=unobserved_renderer(recording.lidar))
         if not facts.get(SHOWS_FIELD, True):
             # Without a pano renderer its pano is the projection of its scan, as for the baseline.
             model = replace(model, lidar=reprojecting_renderer(recording.lidar))

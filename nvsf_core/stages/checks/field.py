@@ -90,7 +90,7 @@ def check_rendering(model: SceneModel, recording: Recording) -> list[Check]:
     # A few lasers represent the whole scan, in a tenth of the time.
     lasers = evidence.lasers[np.unique(np.linspace(0, len(evidence.lasers) - 1, _MOST_LASERS).astype(int))]
     rays, rendered = fire_sweep(
-        replace(model, correct=None, unobserved=None),
+        replace(model, correct=None),
         replace(recording.lidar, evidence=replace(evidence, lasers=lasers)),
         recorded_sweep(sweeps.table, time_s), time_s,
         leave_out_s=time_s if len(evidence.prior.time_s) > 1 else None,

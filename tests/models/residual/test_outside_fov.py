@@ -59,7 +59,7 @@ def _plan(drive: Recording, entry: ViewEntry) -> SweepPlan:
 def _sweep(drive: Recording, above, entry: ViewEntry = VLP_16) -> SimulatedSweep:
     lidar, plan, model = drive.lidar, _plan(drive, entry), reprojection(drive)
     assert lidar is not None
-    model = replace(model, above=above, unobserved=None)
+    model = replace(model, above=above)
     return simulate_sweep(model, lidar, plan, float(plan.time_s[0]))
 
 
