@@ -107,7 +107,7 @@ class SceneEvidence:
             own_range_m=a["own_range_m"], own_intensity=a["own_intensity"],
             objects=_objects_from(a), stationary=StationaryScans.from_arrays(a),
             rendered=_surfels(_RENDERED, a), left_out=LeftOutEvidence.from_arrays(a),
-            unit_gaps=a.get(_GAPS), copied_share=float(a["copied_share"]),
+            unit_gaps=a.get(_GAPS), copied_share=float(a["copied_share"].item()),
         )  # fmt: skip
 
 

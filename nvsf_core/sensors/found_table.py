@@ -46,10 +46,10 @@ _LEAST_MATCH = 12.0
 """Least height of a match of firing patterns, in standard deviations; KITTI's lasers have 31 and more."""
 _LATTICE_PEAK = 0.6
 """Least height of the spectrum's peak, of 1, for an encoder's lattice."""
+_ONE_PHASE = 0.9
+"""Least length of the mean of the lasers' phases as unit vectors, for phases that are about one."""
 _ONE_BEGIN = 0.95
 """Least height of the peak of all scans together, of that of each by itself."""
-
-
 _BY_GAPS = "separated by gaps between their elevations"
 
 
@@ -323,11 +323,18 @@ def _lattice(groups: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray, np.n
         best = int(np.abs(waves).argmax())
         arms_m[k], peaks[k] = _ARMS_M[best], abs(waves[best])
         phases[k] = np.angle(waves[best]) / (2.0 * np.pi)
-    # A phase is one up to whole steps: half a step is not to be now 0.5, now -0.5, from laser to laser.
-    middle = np.angle(np.exp(2j * np.pi * phases).mean()) / (2.0 * np.pi)
-    phases = middle + (phases - middle + 0.5) % 1.0 - 0.5
     is_one = _has_one_begin([groups[k] for k in chosen], arms_m[chosen])
-    return steps, float(np.median(peaks)) if is_one else 0.0, arms_m, phases
+    return steps, float(np.median(peaks)) if is_one else 0.0, arms_m, _together(phases)
+
+
+def _together(phases: np.ndarray) -> np.ndarray:
+    """Phases (L,) in steps, of lasers with about one phase: none a whole step from the others.
+
+    A phase of half a step is found as 0.5 of one laser and as -0.5 of the next.
+    """
+    wave = np.exp(2j * np.pi * phases).mean()
+    middle = np.angle(wave) / (2.0 * np.pi)
+    return phases if abs(wave) < _ONE_PHASE else middle + (phases - middle + 0.5) % 1.0 - 0.5
 
 
 def _has_one_begin(groups: Sequence[np.ndarray], arms_m: np.ndarray) -> bool:

@@ -175,6 +175,21 @@ def test_a_sensor_that_begins_each_sweep_anywhere_has_no_lattice(begins):
     assert ("no encoder's lattice" in said) == (len(set(begins)) > 1)
 
 
+@pytest.mark.parametrize("columns", [30, 720])
+def test_lasers_that_fire_together_between_two_steps_fire_together_in_the_table(columns):
+    laser, column = (one.ravel() for one in np.meshgrid(np.arange(16), np.arange(columns), indexing="ij"))
+    elevation = np.radians(15.0 - 2.0 * laser)
+    range_m = np.random.default_rng(1).uniform(12.0, 40.0, len(laser))
+    azimuth = 2.0 * np.pi * (column + 0.5) / columns
+    flat_m = range_m * np.cos(elevation)
+    rows = np.stack([flat_m * np.cos(azimuth), flat_m * np.sin(azimuth), range_m * np.sin(elevation)], 1)
+    table = find_table([(rows.astype(np.float32), laser)] * 2).table
+    assert np.ptp(table.phase_steps - table.firing_shift_steps) < 0.1, (
+        "not half a step for one, -0.5 for others"
+    )
+    assert np.abs(table.phase_steps).max() == pytest.approx(0.5, abs=0.05)
+
+
 @pytest.mark.parametrize("name", ["k360_street", "kitti0005_van_cyclist"])
 def test_the_lasers_of_real_scans_are_the_measured_table(name):
     if not (SHARED / "data/scenes.toml").is_file():

@@ -12,7 +12,7 @@ from nvsf_core.simulation.scan import sample_scan
 from nvsf_core.simulation.scene_model import SceneModel
 from nvsf_core.simulation.sweep_simulation import fire_sweep, simulate_sweep
 from nvsf_core.simulation.view_plan import SweepPlan
-from tests.simulation.test_unknown_space import IN_PLACE, PERIOD_S, SCANS, answers_half, scene
+from tests.simulation.test_unmet import IN_PLACE, PERIOD_S, SCANS, answers_half, scene
 
 FAR_M, ABOVE_M = 20.0, 50.0
 """Where every other ray ends, and those above the recorded lasers of which the LiDAR knows nothing."""

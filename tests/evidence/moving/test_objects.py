@@ -15,7 +15,7 @@ from nvsf_core.evidence.moving.object_evidence import (
     ObjectHitPriors,
 )
 from nvsf_core.evidence.moving.objects import NearObjects, candidates_on, objects_at, prove_objects
-from nvsf_core.evidence.scene_evidence import SceneEvidence
+from nvsf_core.evidence.scene_evidence import MOST, SceneEvidence
 from nvsf_core.evidence.surfels import Surfels, build_surfels
 from nvsf_core.rendering.reproject import reproject_rays
 from nvsf_core.sensors.sweep import Trajectory
@@ -270,7 +270,7 @@ def test_evidence_comes_back_from_its_arrays(passing) -> None:
         own,
         own,
         dynamic.objects,
-        unobserved=everything,
+        copied_share=MOST,
     )
     arrays = scene.to_arrays()
     again = SceneEvidence.from_arrays(arrays).to_arrays()
