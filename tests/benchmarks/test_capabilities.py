@@ -10,6 +10,6 @@ def test_every_capability_has_its_lines():
 def test_a_function_counts_alone():
     whole, part = (
         next(lines_of(one) for one in CAPABILITIES if one.name == name)
-        for name in ("the field of rays", "unobserved space")
+        for name in ("the field of rays", "rays that meet nothing are copied")
     )
     assert 30 < part < whole
