@@ -149,5 +149,6 @@ def palette_png(levels: np.ndarray, palette: np.ndarray, row_repeat: int = 1) ->
 
 def _png_bytes(picture: Image.Image) -> bytes:
     buffer = io.BytesIO()
-    picture.save(buffer, format="png", optimize=True)
+    # `optimize` would take eight times as long for 4 % fewer bytes.
+    picture.save(buffer, format="png")
     return buffer.getvalue()

@@ -35,13 +35,13 @@ _COSTS = (
 )  # fmt: skip
 
 
-def report_html(scenes: Sequence[SceneOutputs], no_data: Sequence[str], more: str = "") -> str:
+def report_html(sections: Sequence[tuple[SceneOutputs, str]], no_data: Sequence[str], more: str = "") -> str:
     """The page, as text: scenes in the given order, then the ready-made sections `more` (HTML).
 
-    `no_data` are catalogue scenes whose recordings are not on this machine.
+    `sections` are scenes as `scene_section` gives them; pictures are not asked for again. `no_data` are
+    catalogue scenes whose recordings are not on this machine.
     """
-    shown = [_shown(scene) for scene in scenes]
-    scenes = [scene for scene, _ in shown]
+    scenes = [scene for scene, _ in sections]
     measured = [scene for scene in scenes if scene.runs]
     parts = [
         _title(scenes),
@@ -50,12 +50,12 @@ def report_html(scenes: Sequence[SceneOutputs], no_data: Sequence[str], more: st
         _summary(scenes, measured, no_data),
         _how_to_read(),
     ]
-    parts += [*(section for _, section in shown), more]
+    parts += [*(section for _, section in sections), more]
     return page("NVSF benchmark report", "\n".join(parts))
 
 
-def _shown(scene: SceneOutputs) -> tuple[SceneOutputs, str]:
-    """The scene and its section; if its numbers cannot be shown, a scene with only the reason."""
+def scene_section(scene: SceneOutputs) -> tuple[SceneOutputs, str]:
+    """The scene and its section (HTML); if its numbers cannot be shown, a scene with only the reason."""
     try:
         section = _scene(scene)
         if scene.runs:
@@ -68,11 +68,11 @@ def _shown(scene: SceneOutputs) -> tuple[SceneOutputs, str]:
 
 
 def write_report(
-    folder: Path, scenes: Sequence[SceneOutputs], no_data: Sequence[str], more: str = ""
+    folder: Path, sections: Sequence[tuple[SceneOutputs, str]], no_data: Sequence[str], more: str = ""
 ) -> Path:
     """Write `index.html` into a folder; returns its path. Arguments as of `report_html`."""
     path = folder / "index.html"
-    path.write_text(report_html(scenes, no_data, more), encoding="utf-8", errors="backslashreplace")
+    path.write_text(report_html(sections, no_data, more), encoding="utf-8", errors="backslashreplace")
     return path
 
 

@@ -119,9 +119,14 @@ def measured_scenes(home: Path) -> list[str]:
 
 
 def collect_scene(
-    home: Path, name: str, records: Sequence[StageRecord] = (), failure: str | None = None
+    home: Path,
+    name: str,
+    records: Sequence[StageRecord] = (),
+    failure: str | None = None,
+    *,
+    with_pictures: bool = True,
 ) -> SceneOutputs:
-    """Read one scene's metrics, curves and pictures from `<home>/<name>/`.
+    """Read one scene's metrics and curves and, unless they are not asked for, pictures of `<home>/<name>/`.
 
     Raises:
         StoreError: An output is damaged, a link, or belongs to another scene.
@@ -141,6 +146,7 @@ def collect_scene(
             raise foreign(table, f"expected metrics of scene {name!r}, found those of {others[0]!r:.60}")
         curve = root / "field" / recipe / seed / "curve.parquet"
         against = measured_against(records, recipe, seed, rows)
+        is_shown = with_pictures and position == 0
         newest = newest or against
         record = record_of(records, "scene_metrics", recipe, seed)
         runs.append(
@@ -153,8 +159,8 @@ def collect_scene(
                 means=mean_rows(rows),
                 by_support=[row for row in rows if row["recipe"] == recipe and row["region"] in _REGIONS],
                 curve=read_table(curve) if curve.is_file() else {},
-                pictures=_pictures(root, recipe, seed) if position == 0 else [],
-                error_cloud=read_picture(table.parent / ERROR_CLOUD_NAME) if position == 0 else None,
+                pictures=_pictures(root, recipe, seed) if is_shown else [],
+                error_cloud=read_picture(table.parent / ERROR_CLOUD_NAME) if is_shown else None,
                 is_comparable=against.compares_with(newest),
                 other_views=against.other_views(newest),
             )

@@ -10,6 +10,8 @@ from nvsf_core.reporting.scan_page.page import scan_page
 from nvsf_core.reporting.scene_outputs import SceneOutputs, ViewPictures
 from nvsf_core.reporting.strip import strip_of
 
+PAGES = "views"
+"""Folder, in the report's, with a folder a scene."""
 _HELD_OUT = (
     "Left: scans that the car recorded and the model never saw. Right: what the model renders there. Error: "
     "distance to the nearest point of the other side."
@@ -44,7 +46,7 @@ def _view(folder: Path, root: Path, view: Path, scene: str, pictures: ViewPictur
     try:
         strip, name = strip_of(root, view), ""
         if pictures.sensor:
-            name = f"views/{scene}/{view.name}.html"
+            name = f"{PAGES}/{scene}/{view.name}.html"
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             words = (_HELD_OUT if view.name == HELD_OUT else _ASKED) + _STEERING
             title = f"{scene}, {'held-out frames' if view.name == HELD_OUT else f'view {view.name}'}"
