@@ -1,12 +1,8 @@
 """A table of lasers found from scans, for a rotating LiDAR that no table is known of.
 
-Each laser's returns follow the model of `tables.LaserTable`:
-    elevation = elevation_l + vertical_offset_l / r
-    azimuth   = (column + phase_l) 2 pi / n + horizontal_offset_l / (r cos elevation_l)
-The first line is a straight line in 1 / r. The second is periodic in the encoder's n steps: for each lever
-arm h that a laser may have, the spectrum of its azimuths less h / rho has a peak at n, the highest for the
-true h.
-Lasers that fire together leave the same pattern of columns, each shifted by its own constant.
+Each laser's returns follow the model of `tables.LaserTable`, here its elevations,
+    elevation = elevation_l + vertical_offset_l / r,
+a straight line in 1 / r; its azimuths in `found_lattice`.
 """
 
 from collections.abc import Sequence
@@ -16,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nvsf_core.errors import DataError
+from nvsf_core.sensors.found_lattice import find_lattice
 from nvsf_core.sensors.lasers import ROW_ORDERS, elevation_of, rows_of
 from nvsf_core.sensors.ray_origins import origin_words
 from nvsf_core.sensors.tables import LaserTable
@@ -38,18 +35,6 @@ _LEAST_SPREAD_RAD = np.deg2rad(0.03)
 """Returns this near to a line are never outliers: it is the sensors' own noise."""
 _APART_RAD = np.deg2rad(0.08)
 """Least gap between two lasers' elevations where neither rings nor the file's order tell them apart."""
-_ARMS_M = np.linspace(-0.08, 0.08, 81)
-"""Lever arms to the left that are tried: sensors are less than 16 cm wide at their lasers."""
-_BINS = 1 << 15
-_MOST_STEPS = 12_000
-_LEAST_MATCH = 12.0
-"""Least height of a match of firing patterns, in standard deviations; KITTI's lasers have 31 and more."""
-_LATTICE_PEAK = 0.6
-"""Least height of the spectrum's peak, of 1, for an encoder's lattice."""
-_ONE_PHASE = 0.9
-"""Least length of the mean of the lasers' phases as unit vectors, for phases that are about one."""
-_ONE_BEGIN = 0.95
-"""Least height of the peak of all scans together, of that of each by itself."""
 _BY_GAPS = "separated by gaps between their elevations"
 
 
@@ -118,40 +103,28 @@ def find_table(scans: Scans, others: Scans = ()) -> FoundTable:
             f"{beyond_m:g} m lie on one of them, expected {_LEAST_FITTING:.0%}; "
             f"{origin_words(groups) or advice}"
         )
-    steps, peak, arms_m, phases = _lattice(groups)
-    here = [points_m[points_m[:, 3] < len(scans)] for points_m in groups]
-    firings = _firings(here, len(scans))
-    is_lattice = peak >= _LATTICE_PEAK
-    if not is_lattice:
-        steps, arms_m, phases = firings, np.zeros(len(groups)), np.zeros(len(groups))
-    shifts = np.zeros(len(groups), np.int64)
-    if is_lattice:
-        shifts = _shifts(here, len(scans), steps, arms_m, phases)
+    lattice = find_lattice(groups, len(scans))
     farthest_m = max(float(np.linalg.norm(points_m[:, :3], axis=1).max()) for points_m in groups)
     table = LaserTable(
         name=f"found-{len(groups)}",
         elevation_rad=np.array([line.elevation_rad for line in lines]),
         vertical_offset_m=np.array([line.arm_m for line in lines]),
-        horizontal_offset_m=arms_m,
-        phase_steps=phases,
-        firing_shift_steps=shifts,
-        lattice_steps=steps,
-        firings_per_turn=min(firings, steps),
+        horizontal_offset_m=lattice.arms_m,
+        phase_steps=lattice.phases,
+        firing_shift_steps=lattice.shifts,
+        lattice_steps=lattice.steps,
+        firings_per_turn=lattice.firings,
         max_range_m=float(np.ceil(1.02 * farthest_m)),
         elevation_correction_rad=0.0,
         range_bias_m=np.zeros(len(groups)),
         intensity_gain=np.ones(len(groups)),
     )
     spread_deg = np.degrees(np.median([line.spread_rad for line in lines]))
-    lattice = (
-        f"an encoder of {steps} steps (peak {peak:.2f})" if is_lattice
-        else f"no encoder's lattice (peak {peak:.2f}): lever arms to the side are taken as 0"
-    )  # fmt: skip
     elevations = np.degrees([lines[0].elevation_rad, lines[-1].elevation_rad])
     evidence = (
         f"{len(groups)} lasers from {len(scans)} scans, {words}: {elevations[0]:.2f} to {elevations[1]:.2f} "
         f"degrees, {spread_deg:.3f} degrees off their lines in the median; {table.firings_per_turn} firings; "
-        f"{lattice}; {left_out or 'none'} left out"
+        f"{lattice.words}; {left_out or 'none'} left out"
     )
     return FoundTable(table, evidence)
 
@@ -304,97 +277,3 @@ def _line(points_m: np.ndarray) -> _Line:
         line = _Line(float(base), float(arm_m), 1.4826 * float(np.median(off)), is_certain)
         kept = off <= max(3.0 * line.spread_rad, _LEAST_SPREAD_RAD)
     return line
-
-
-def _lattice(groups: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray, np.ndarray]:
-    """Steps of the encoder, height of the peak, and each laser's lever arm (m) and phase (steps).
-
-    The peak is 0 of a sensor that begins each sweep anywhere: some lattice fits a few scans by chance.
-    """
-    chosen = list(range(0, len(groups), max(1, len(groups) // 8)))
-    mean = np.mean([_spectra(groups[k]).max(axis=0) for k in chosen], axis=0)
-    mean[: min(64, len(mean))] = 0.0
-    # A lattice of n steps also peaks at 2 n, 3 n, ...: the first high peak is n.
-    steps = int(np.flatnonzero(mean >= 0.9 * mean.max())[0])
-    arms_m, phases, peaks = np.zeros(len(groups)), np.zeros(len(groups)), np.zeros(len(groups))
-    for k, points_m in enumerate(groups):
-        azimuth, rho_m = _flat(points_m)
-        waves = np.array([np.exp(1j * steps * (azimuth - arm / rho_m)).mean() for arm in _ARMS_M])
-        best = int(np.abs(waves).argmax())
-        arms_m[k], peaks[k] = _ARMS_M[best], abs(waves[best])
-        phases[k] = np.angle(waves[best]) / (2.0 * np.pi)
-    is_one = _has_one_begin([groups[k] for k in chosen], arms_m[chosen])
-    return steps, float(np.median(peaks)) if is_one else 0.0, arms_m, _together(phases)
-
-
-def _together(phases: np.ndarray) -> np.ndarray:
-    """Phases (L,) in steps, of lasers with about one phase: none a whole step from the others.
-
-    A phase of half a step is found as 0.5 of one laser and as -0.5 of the next.
-    """
-    wave = np.exp(2j * np.pi * phases).mean()
-    middle = np.angle(wave) / (2.0 * np.pi)
-    return phases if abs(wave) < _ONE_PHASE else middle + (phases - middle + 0.5) % 1.0 - 0.5
-
-
-def _has_one_begin(groups: Sequence[np.ndarray], arms_m: np.ndarray) -> bool:
-    """Whether all scans of lasers with lever arms (k,) lie on one lattice, as exactly as each by itself."""
-    alone, together = np.zeros((2, _MOST_STEPS))
-    for points_m, arm_m in zip(groups, arms_m, strict=True):
-        azimuth, rho_m = _flat(points_m)
-        angle, scan = np.mod(azimuth - arm_m / rho_m, 2.0 * np.pi), points_m[:, 3]
-        waves = np.array([_wave(angle[scan == one]) for one in np.unique(scan)])
-        returns = np.unique(scan, return_counts=True)[1]
-        alone += np.average(np.abs(waves), axis=0, weights=returns)
-        together += np.abs(np.average(waves, axis=0, weights=returns))
-    alone[:64] = 0.0
-    first = int(np.flatnonzero(alone >= 0.9 * alone.max())[0])
-    return bool(together[first] >= _ONE_BEGIN * alone[first])
-
-
-def _wave(angle_rad: np.ndarray) -> np.ndarray:
-    """Mean of exp(-i n angle) over angles (k,) in [0, 2 pi), for each wave number n."""
-    bins = np.minimum((angle_rad * (_BINS / (2.0 * np.pi))).astype(np.int64), _BINS - 1)
-    return np.fft.rfft(np.bincount(bins, minlength=_BINS))[:_MOST_STEPS] / len(angle_rad)
-
-
-def _spectra(points_m: np.ndarray) -> np.ndarray:
-    """Height of each wave number for each lever arm tried, (arms, wave numbers)."""
-    azimuth, rho_m = _flat(points_m)
-    return np.array([np.abs(_wave(np.mod(azimuth - arm_m / rho_m, 2.0 * np.pi))) for arm_m in _ARMS_M])
-
-
-def _flat(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    azimuth: np.ndarray = np.arctan2(points_m[:, 1], points_m[:, 0])
-    return azimuth, np.maximum(np.hypot(points_m[:, 0], points_m[:, 1]), 1e-3)
-
-
-def _firings(groups: Sequence[np.ndarray], n_scans: int) -> int:
-    """Firings of a sweep: as many as the fullest lasers have returns."""
-    counts = np.array([len(points_m) / n_scans for points_m in groups])
-    return max(1, round(float(np.percentile(counts, 98))))
-
-
-def _shifts(
-    groups: Sequence[np.ndarray], n_scans: int, steps: int, arms_m: np.ndarray, phases: np.ndarray
-) -> np.ndarray:
-    """(L,) int64 steps between each laser's columns and those of the fullest laser that fire together."""
-    pattern = []
-    for points_m, arm_m, phase in zip(groups, arms_m, phases, strict=True):
-        azimuth, rho_m = _flat(points_m)
-        column = np.rint((azimuth - arm_m / rho_m) * steps / (2.0 * np.pi) - phase).astype(np.int64)
-        scan = points_m[:, 3].astype(np.int64)
-        fired = np.zeros((n_scans, steps))
-        fired[scan, np.mod(column, steps)] = 1.0
-        pattern.append(np.fft.rfft(fired - fired.mean(axis=1, keepdims=True)))
-    reference = np.conj(pattern[int(np.argmax([len(one) for one in groups]))])
-    shifts = np.zeros(len(groups), np.int64)
-    for k, own in enumerate(pattern):
-        # Phases alone: firings are nearly even, and their regular part agrees at many shifts.
-        wave = own * reference
-        match = np.fft.irfft((wave / np.maximum(np.abs(wave), 1e-9)).sum(axis=0), steps)
-        best = int(match.argmax())
-        # Where every column fires there is no pattern: nothing is shifted.
-        if match[best] > _LEAST_MATCH * match.std():
-            shifts[k] = -((best + steps // 2) % steps - steps // 2)
-    return np.asarray(shifts - round(float(np.median(shifts))))

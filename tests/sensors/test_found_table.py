@@ -190,6 +190,23 @@ def test_lasers_that_fire_together_between_two_steps_fire_together_in_the_table(
     assert np.abs(table.phase_steps).max() == pytest.approx(0.5, abs=0.05)
 
 
+@pytest.mark.parametrize("lasers", [1, 16])
+def test_a_sensor_most_of_whose_rays_are_lost_fires_at_every_step_all_the_same(lasers):
+    rng = np.random.default_rng(2)
+    laser, column = (one.ravel() for one in np.meshgrid(np.arange(lasers), np.arange(720), indexing="ij"))
+    azimuth, elevation = 2.0 * np.pi * column / 720, -np.radians(1.0 + laser)
+
+    def scan():
+        range_m = rng.uniform(12.0, 40.0, len(laser))
+        flat_m = range_m * np.cos(elevation)
+        rows = np.stack([flat_m * np.cos(azimuth), flat_m * np.sin(azimuth), range_m * np.sin(elevation)], 1)
+        kept = rng.uniform(size=len(laser)) < 0.4
+        return rows[kept].astype(np.float32), laser[kept]
+
+    table = find_table([scan() for _ in range(4)]).table
+    assert table.lattice_steps == table.firings_per_turn == 720
+
+
 @pytest.mark.parametrize("name", ["k360_street", "kitti0005_van_cyclist"])
 def test_the_lasers_of_real_scans_are_the_measured_table(name):
     if not (SHARED / "data/scenes.toml").is_file():

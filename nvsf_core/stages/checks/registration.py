@@ -35,6 +35,8 @@ _FEWEST_POINTS, _MOST_POINTS = 500, 40_000
 _MOST_TRIED = 1200
 _FEWEST_SCANS = 3
 _LEAST_M = 1e-3
+_LEAST_MEDIAN_M = 0.05
+"""Where the sensor stands, the median scan lies closer: others are farther off only because cars pass."""
 _NEIGHBOURS = 2
 """Number of scans before and after that a scan is compared with, and whose poses are tried."""
 _FARTHEST_M = 1.0
@@ -111,7 +113,7 @@ def order_check(arrays: Mapping[str, np.ndarray], lidar_to_scene: np.ndarray) ->
             f"fewer than {_FEWEST_SCANS} scans with returns from {_NEAR_M:g} to {_FAR_M:g} m"
         )
     misfit = np.where(known & ~is_free, own_m / np.maximum(other_m, _LEAST_M), 0.0)
-    of_median = np.where(known, own_m, 0.0) / max(float(np.median(own_m[known])), _LEAST_M)
+    of_median = np.where(known, own_m, 0.0) / max(float(np.median(own_m[known])), _LEAST_MEDIAN_M)
     wrong = np.flatnonzero((misfit > MOST_MISFIT) | (of_median > MOST_OF_MEDIAN))
     free = f"of {np.count_nonzero(is_free)} scans nothing can be said: no surface there fixes the way driven"
     if len(wrong) == 0 and is_free[known].all():
