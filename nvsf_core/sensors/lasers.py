@@ -28,8 +28,9 @@ _LOST_GAP = 2.5
 _NEARLY_ALL = 0.8
 """Least share of the encoder's steps that a table's firings are where it fires at each: found tables count
 those that returned."""
-_MOST_STEPS_APART = 1.02
-"""Largest mean gap, in steps, of firings at every step: up to 1.003 below open sky; KITTI's have 1.84."""
+_MOST_STEPS_APART = 1.15
+"""Largest mean gap, in steps, of firings at every step: up to 1.003 below open sky, 1.04 with a single laser;
+KITTI's have 1.84."""
 _LATTICE_RESIDUAL_STEPS = 0.15
 """Largest mean distance from the lattice: 0.02 in real scans, 0.25 where there is no lattice."""
 
