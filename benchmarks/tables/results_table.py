@@ -24,9 +24,9 @@ from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.metrics.table import BASELINES, HELD_OUT, mean_rows
 from nvsf_core.reporting.measured_against import measured_against
 from nvsf_core.reporting.stage_record import StageRecord, record_of
-from nvsf_core.stages.benchmark_report import stage_records
 from nvsf_core.stages.runner.host import machine
 from nvsf_core.stages.runner.record import made_s
+from nvsf_core.stages.scene_records import stage_records
 from nvsf_core.stores.tables import read_rows
 
 WALK_RESULTS = Path("benchmarks", "results", "voxel_walk.json")

@@ -126,7 +126,14 @@ def collect_scene(
     *,
     with_pictures: bool = True,
 ) -> SceneOutputs:
-    """Read one scene's metrics and curves and, unless they are not asked for, pictures of `<home>/<name>/`.
+    """Read one scene's metrics, curves and pictures from `<home>/<name>/`.
+
+    Args:
+        home: NVSF_HOME.
+        name: The scene.
+        records: Its stages'.
+        failure: Why its last run failed.
+        with_pictures: Whether pictures are wanted, which take most of the time.
 
     Raises:
         StoreError: An output is damaged, a link, or belongs to another scene.

@@ -28,12 +28,12 @@ _ONE_BEGIN = 0.95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """How L lasers fire round the turn."""
+    """How L lasers fire in one rotation."""
 
     steps: int
     """Of the encoder; of a sensor without a lattice, its firings."""
     firings: int
-    """In one turn."""
+    """In one rotation."""
     arms_m: np.ndarray
     """(L,) float64 lever arms to the left; 0 without a lattice, as phases and shifts are."""
     phases: np.ndarray

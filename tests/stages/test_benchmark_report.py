@@ -357,27 +357,6 @@ def test_a_page_is_made_again_only_where_something_that_it_is_made_from_changed(
     assert make_benchmark_report(tmp_path, ["street"], {}, []).stat().st_ino != second
 
 
-def test_a_page_with_sections_taken_over_is_as_one_made_anew(tmp_path: Path) -> None:
-    write_street(tmp_path, "street")
-    changed = write_street(tmp_path, "avenue")
-    report = tmp_path / "benchmark_report"
-    make_benchmark_report(tmp_path, [], {}, [])
-    first = (report / "views/street/test.html").stat().st_ino
-    record = changed.path("scene_metrics/quick/0") / "stage.json"
-    record.write_text(record.read_text().replace('"seconds"', ' "seconds"', 1))
-    taken_over = make_benchmark_report(tmp_path, [], {}, []).read_text(encoding="utf-8")
-    assert (report / "views/street/test.html").stat().st_ino == first
-    shutil.rmtree(report)
-    anew = make_benchmark_report(tmp_path, [], {}, []).read_text(encoding="utf-8")
-    assert (report / "views/street/test.html").stat().st_ino != first
-    made = re.compile(r"Made [-0-9: ]+ UTC")
-    assert made.sub("", taken_over) == made.sub("", anew)
-    shutil.rmtree(report / "views/street")
-    (report / "made_from.sha256").unlink()
-    make_benchmark_report(tmp_path, [], {}, [])
-    assert (report / "views/street/test.html").is_file(), "a section whose pages are gone is made again"
-
-
 def test_a_scene_of_this_run_that_cannot_be_read_is_named_and_costs_no_page(tmp_path: Path) -> None:
     store = write_street(tmp_path, "street")
     (store.path("field/quick/0") / "curve.parquet").unlink()

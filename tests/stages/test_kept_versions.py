@@ -17,12 +17,12 @@ from click.testing import CliRunner
 from assets.metadata import exported_folders
 from nvsf_core.errors import DataError
 from nvsf_core.stages import STAGES, SceneRun, plan_run, run_named_stage
-from nvsf_core.stages.benchmark_report import stage_records
 from nvsf_core.stages.exports.manifest import write_manifest
 from nvsf_core.stages.flow import WORK_MODULES
 from nvsf_core.stages.runner.locks import file_lock
 from nvsf_core.stages.runner.stage import Outcome
 from nvsf_core.stages.runner.verify import Verdict, verify_scene
+from nvsf_core.stages.scene_records import stage_records
 from nvsf_core.stages.versions import (
     damage_at_rest,
     damage_of_version,
