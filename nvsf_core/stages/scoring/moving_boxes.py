@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nvsf_core.geometry.boxes import box_between
 from nvsf_core.geometry.se3 import invert_pose
 from nvsf_core.stores.scene_store import SceneStore
 from nvsf_core.stores.tables import read_rows
@@ -46,8 +47,7 @@ class MovingBoxes:
         known_s = np.array([self.time_s[frame] for frame in frames])
         before = int(np.clip(np.searchsorted(known_s, time_s) - 1, 0, len(boxes) - 2))
         share = (time_s - known_s[before]) / (known_s[before + 1] - known_s[before])
-        # Over a tenth of a second the mean of two poses is a rotation to 1e-4.
-        return np.asarray((1.0 - share) * boxes[before] + share * boxes[before + 1])
+        return box_between(boxes[before], boxes[before + 1], share)
 
 
 def read_moving_boxes(store: SceneStore) -> MovingBoxes | None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from nvsf_core.errors import DataError
-from nvsf_core.geometry.boxes import box_corners, inside_any
+from nvsf_core.geometry.boxes import box_between, box_corners, inside_any
 from nvsf_core.geometry.camera_fan import camera_rays
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
@@ -37,8 +37,8 @@ _SAME_S = 1e-6
 def boxes_at(rows: Sequence[Mapping[str, Any]]) -> Callable[[float], list[BoxRecord]]:
     """Gives the boxes at an instant of the scene, in seconds.
 
-    A moving object's box between two of its own lies between these; it is absent before its first and after
-    its last. Over a tenth of a second the mean of two poses is a rotation to 1e-4.
+    A moving object's box between two of its own lies between these as `box_between` says; it is absent before
+    its first and after its last.
 
     Args:
         rows: One a box: object_id, label, dynamic, box_to_world and, if dynamic, time_s.
@@ -122,8 +122,7 @@ def _between(track: Sequence[Mapping[str, Any]], time_s: float) -> BoxRecord | N
     before = max(0, after - 1) if known_s[after] > time_s + _SAME_S else after
     length_s = known_s[after] - known_s[before]
     share = 0.0 if length_s <= 0.0 else (time_s - known_s[before]) / length_s
-    pose = (1.0 - share) * _matrix(track[before]) + share * _matrix(track[after])
-    return _record(track[before], pose)
+    return _record(track[before], box_between(_matrix(track[before]), _matrix(track[after]), share))
 
 
 def _matrix(row: Mapping[str, Any]) -> np.ndarray:

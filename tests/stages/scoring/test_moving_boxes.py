@@ -70,6 +70,15 @@ def test_a_box_is_where_the_object_was_when_the_image_was_taken(store: SceneStor
     assert boxes.in_camera(FRAMES, 0.4, LOOKS).shape == boxes.in_lidar(0)[:0].shape == (0, 4, 4)
 
 
+def test_a_box_whose_heading_flips_between_two_frames_is_not_flat_in_an_image_between(
+    store: SceneStore,
+) -> None:
+    boxes = boxes_of(store)
+    boxes.to_world[2][7] = boxes.to_world[2][7] * [-1.0, -1.0, 1.0, 1.0]
+    (here,) = boxes.in_camera(1, 0.15, LOOKS)
+    np.testing.assert_allclose(here, invert_pose(LOOKS) @ box(0.15), atol=1e-9)
+
+
 def test_the_foreground_of_a_late_image_is_at_the_images_own_instant(store: SceneStore) -> None:
     shown = np.random.default_rng(0).integers(0, 255, (FRAMES, 64, 96, 3), np.uint8)
     frame = np.arange(FRAMES)

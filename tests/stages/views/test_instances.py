@@ -120,6 +120,18 @@ def test_what_moves_without_a_label_has_a_box_and_what_has_one_is_not_doubled(tm
     assert [one.object_id for one in first] == [26_004], "before its first scan nothing is known of it"
 
 
+def test_a_box_between_two_labels_whose_heading_flips_is_neither_flat_nor_turned(tmp_path: Path) -> None:
+    labelled = _track(26_004, 0.0, 2.0, label="car", dynamic=True)
+    flipped = np.array(labelled[2]["box_to_world"]).reshape(4, 4) * [-1.0, -1.0, 1.0, 1.0]
+    labelled[2]["box_to_world"] = flipped.ravel().tolist()
+    for time_s, ((box,)) in zip((0.15, 0.24), _boxes(tmp_path, labelled, [], [0.15, 0.24]), strict=True):
+        expected = np.diag([2.0, 2.0, 2.0, 1.0])
+        expected[:3, 3] = 0.0, 10.0 * time_s, 0.5
+        if time_s > 0.2:
+            expected = expected * [-1.0, -1.0, 1.0, 1.0]
+        np.testing.assert_allclose(box.box_to_world, expected, atol=1e-9)
+
+
 @pytest.mark.parametrize("label", ["car", "unknownVehicle", "Person (sitting)", "vehicle.bus.rigid"])
 def test_what_moves_in_a_static_box_of_what_can_move_is_that_object(tmp_path: Path, label: str) -> None:
     parked = _track(26_004, 0.0, 9.0, label=label, dynamic=False)[0] | {"frame": -1}
