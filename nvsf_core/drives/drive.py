@@ -84,6 +84,8 @@ class DriveFacts:
     """Whether the drive has a LiDAR."""
     sensor: str
     """Name of the LiDAR's table; empty = its lasers are to be found from the scans."""
+    boxes_after_s: float = 0.0
+    """Seconds from a frame's instant to the moment that its labelled boxes are of."""
     disagreement: PoseDisagreement | None = None
     """Of two sources of the same poses; None if there is one."""
     notes: tuple[str, ...] = ()

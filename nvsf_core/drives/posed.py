@@ -250,6 +250,11 @@ class AbstractPosedDrive(AbstractDrive):
         stamp_s = self._seconds.get(frame)
         return None if stamp_s is None else stamp_s + self.stamp_shift_s
 
+    @property
+    def boxes_after_s(self) -> float:
+        """Seconds from a frame's instant to its labels: they are of its time as recorded, as images are."""
+        return 0.0 - self.stamp_shift_s
+
     def facts(self) -> DriveFacts:
         """Calibration, poses and times.
 
@@ -278,6 +283,7 @@ class AbstractPosedDrive(AbstractDrive):
         return DriveFacts(
             calibration=self.calibration(), poses=poses, poses_place=path.place, times=times,
             has_scans=self.has_scans(), sensor="" if named == "found" else named, notes=tuple(notes),
+            boxes_after_s=self.boxes_after_s,
         )  # fmt: skip
 
     def _origin_s(self) -> float | None:

@@ -26,6 +26,8 @@ class FrameRow:
     frame: int
     time_s: float
     """Seconds since the section's first frame."""
+    boxes_time_s: float
+    """Moment that its labelled boxes are of, on the same clock."""
     split: str
     """`train` or `test`."""
     lidar_to_world: np.ndarray | None
@@ -196,6 +198,7 @@ def _frame_row(source: AbstractDrive, facts: DriveFacts, frame: int, time_s: flo
     return FrameRow(
         frame=frame,
         time_s=time_s,
+        boxes_time_s=time_s + facts.boxes_after_s,
         split="test" if frame in source.scene.test_frames else "train",
         lidar_to_world=None if pose is None else pose @ facts.calibration.lidar_to_pose,
         scan_valid=n_returns > 0 and pose is not None,

@@ -55,7 +55,9 @@ def run(task: Task) -> StageOutput:
 
 
 def _write(folder: Path, drive: Drive) -> None:
-    _write_table(folder / "frames.parquet", drive.frames, FRAME_COLUMNS)
+    is_apart = drive.boxes and any(row.boxes_time_s != row.time_s for row in drive.frames)
+    columns = (*FRAME_COLUMNS, "boxes_time_s") if is_apart else FRAME_COLUMNS
+    _write_table(folder / "frames.parquet", drive.frames, columns)
     _write_table(folder / "cameras.parquet", drive.images, CAMERA_COLUMNS)
     _write_table(folder / "boxes.parquet", drive.boxes, BOX_COLUMNS)
     facts: dict[str, Any] = {

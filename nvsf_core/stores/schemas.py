@@ -65,15 +65,21 @@ _CLOCK = "spin, cut, lag: see `SweepClock`; absent = clockwise, cut behind"
 CONTRACT: tuple[FileSpec, ...] = (
     FileSpec(
         "frames", "frames/frames.parquet", "parquet", "One row a frame of the section.",
-        _columns(
-            ("frame", "i8", "1", "frame number of the recording"),
-            ("time_s", "f8", "s", "since the first frame"),
-            ("split", "string", "", "`train` or `test` (held out)"),
-            ("lidar_to_world", "list<f8>", "m", _POSE),
-            ("pose_valid", "bool", "", "whether the recording has a pose for this frame"),
-            ("scan_valid", "bool", "", "whether the scan can be used"),
-            ("reason", "string", "", "why not; empty where it can"),
-            ("checksum", "string", "", "SHA-256 of the scan file; empty where there is none"),
+        (
+            *_columns(
+                ("frame", "i8", "1", "frame number of the recording"),
+                ("time_s", "f8", "s", "since the first frame"),
+                ("split", "string", "", "`train` or `test` (held out)"),
+                ("lidar_to_world", "list<f8>", "m", _POSE),
+                ("pose_valid", "bool", "", "whether the recording has a pose for this frame"),
+                ("scan_valid", "bool", "", "whether the scan can be used"),
+                ("reason", "string", "", "why not; empty where it can"),
+                ("checksum", "string", "", "SHA-256 of the scan file; empty where there is none"),
+            ),
+            Entry(
+                "boxes_time_s", "f8", (), "s",
+                "moment that its boxes are of, since the first frame; absent = `time_s`", optional=True,
+            ),
         ),
     ),
     FileSpec(

@@ -20,8 +20,18 @@ from nvsf_core.sensors.tables import SENSOR_TABLES
 _LONGEST_ARM_M = 100.0
 _LATEST_S = 1e10
 """Seconds from 1970 to the year 2286; larger numbers are of another unit."""
+_LONGEST_DELAY_S = 10.0
+"""Of labels after their frames; larger numbers are of another unit."""
 _FOUND = "found"
-_DRIVE_KEYS = ("lidar", "intensity_max", "lidar_to_pose", "times_assumed", "clock_origin_s", "notes")
+_DRIVE_KEYS = (
+    "lidar",
+    "intensity_max",
+    "lidar_to_pose",
+    "times_assumed",
+    "clock_origin_s",
+    "boxes_after_s",
+    "notes",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +48,8 @@ class Description:
     """Why the frames' times are assumed ones, in words; empty = they are recorded."""
     clock_origin_s: float | None = None
     """Seconds from 1970-01-01 to 0 s of the tables' times; None = not known."""
+    boxes_after_s: float = 0.0
+    """Seconds from a frame's time to the moment that its boxes are of."""
 
 
 def read_description(path: Path) -> Description:
@@ -69,10 +81,17 @@ def read_description(path: Path) -> Description:
             f"{path}: clock_origin_s: expected seconds from 1970-01-01 to 0 s of the tables, found "
             f"{origin_s!r:.60}"
         )
+    later_s = raw.get("boxes_after_s", 0.0)
+    if not is_number(later_s) or not abs(later_s) <= _LONGEST_DELAY_S:
+        raise CalibrationError(
+            f"{path}: boxes_after_s: expected seconds from a frame's time to its boxes', at most "
+            f"{_LONGEST_DELAY_S:g}, found {later_s!r:.60}"
+        )
     return Description(
         lidar="" if lidar == _FOUND else lidar, intensity_max=float(brightest),
         lidar_to_pose=_mounting(raw, "lidar_to_pose", str(path), np.eye(4)),
         times_assumed=assumed, clock_origin_s=None if origin_s is None else float(origin_s),
+        boxes_after_s=float(later_s),
     )  # fmt: skip
 
 

@@ -163,6 +163,11 @@ class PlainDrive(AbstractPosedDrive):
         return super().clock_zero_s() if given_s is None else given_s
 
     @property
+    def boxes_after_s(self) -> float:
+        """As `drive.json` says, from the frames' times as recorded."""
+        return super().boxes_after_s + self._description.boxes_after_s
+
+    @property
     def times_source(self) -> str:
         """`frames.csv` or `poses.csv`."""
         layout = self.layout

@@ -19,14 +19,28 @@ from nvsf_core.geometry.pinhole import Pinhole
 
 
 def write_description(
-    layout: PlainLayout, lidar: str, notes: Sequence[str] = (), times: FrameTimes | None = None
+    layout: PlainLayout,
+    lidar: str,
+    notes: Sequence[str] = (),
+    times: FrameTimes | None = None,
+    boxes_after_s: float = 0.0,
 ) -> None:
-    """Write `drive.json`: the LiDAR's name (empty = to be found), what was assumed, and what its clock is."""
+    """Write `drive.json`.
+
+    Args:
+        layout: Of the drive.
+        lidar: The LiDAR's name; empty = to be found.
+        notes: What was assumed.
+        times: What the drive's clock is, and whether it is assumed.
+        boxes_after_s: Seconds from a frame's time to the moment that its boxes are of.
+    """
     clock: dict[str, Any] = {}
     if times is not None and times.is_assumed:
         clock["times_assumed"] = times.source
     if times is not None and times.origin_s is not None:
         clock["clock_origin_s"] = round(times.origin_s, 6)
+    if boxes_after_s:
+        clock["boxes_after_s"] = round(boxes_after_s, 9)
     _write_json(layout.drive_path, {"lidar": lidar or "found", **clock, "notes": list(notes)})
 
 

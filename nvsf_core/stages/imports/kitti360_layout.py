@@ -88,7 +88,7 @@ class Kitti360Target(AbstractTarget):
             write_frame_poses(layout.cam0_to_world_path, posed, poses @ cameras["image_00"].to_pose, rows=4)
         self._write_times()
         self._write_boxes(boxes)
-        self.left_out += self._losses()
+        self.left_out += self._losses(boxes)
         self.notes += self._renames()
 
     def _write_times(self) -> None:
@@ -132,7 +132,7 @@ class Kitti360Target(AbstractTarget):
         frames = self.scene.first_frame, self.scene.last_frame
         write_boxes(self._layout.boxes_path("train"), written, *frames)
 
-    def _losses(self) -> list[str]:
+    def _losses(self, boxes: Sequence[Box]) -> list[str]:
         """What the layout has no place for, in words."""
         facts = self.facts
         lost = [
@@ -145,6 +145,11 @@ class Kitti360Target(AbstractTarget):
             "takes images to be of their frame's instant"
             for camera, delay_s in self._largest_delay_s.items() if delay_s > _LEAST_DELAY_S
         ]  # fmt: skip
+        if facts.boxes_after_s and any(one.dynamic for one in boxes):
+            lost.append(
+                f"times of boxes, {1000.0 * facts.boxes_after_s:.1f} ms from their frames': the layout takes "
+                "boxes to be of their frame's instant"
+            )
         lost += [
             f"{what} of the points of {count} scans: the layout has no place for them"
             for what, count in self._scans_with.items() if count

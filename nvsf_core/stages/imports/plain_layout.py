@@ -52,7 +52,9 @@ class PlainTarget(AbstractTarget):
         """Write the tables."""
         facts, layout = self.facts, self._layout
         lidar_to_pose = facts.calibration.lidar_to_pose
-        write_description(layout, facts.sensor, facts.notes, facts.times)
+        write_description(
+            layout, facts.sensor, facts.notes, facts.times, facts.boxes_after_s if boxes else 0.0
+        )
         frames = range(self.scene.first_frame, self.scene.last_frame + 1)
         time_s = dict(zip(frames, facts.times.time_s.tolist(), strict=True))
         posed = sorted(facts.poses)

@@ -18,16 +18,18 @@ class MovingBoxes:
 
     to_world: dict[int, dict[int, np.ndarray]]
     """Frame to object to the (4, 4) float64 transform from the unit cube to the world, metres."""
+    boxes_time_s: dict[int, float]
+    """Frame to the moment that its boxes are of, seconds since the first frame."""
     time_s: dict[int, float]
-    """Frame to its instant, seconds since the first frame."""
+    """Frame to the instant of its scan, on the same clock."""
     lidar_to_world: dict[int, np.ndarray]
     """Frame to the (4, 4) pose of the LiDAR."""
     objects: int
     """Number of different objects."""
 
     def in_lidar(self, frame: int) -> np.ndarray:
-        """(B, 4, 4) unit cube to the LiDAR's frame of a recorded frame; B = 0 if nothing moves."""
-        there = list(self.to_world.get(frame, {}).values())
+        """(B, 4, 4) unit cube to the LiDAR's frame at a recorded frame's instant; B = 0 if nothing moves."""
+        there = [self._at(one, self.time_s[frame]) for one in self.to_world.get(frame, {})]
         return invert_pose(self.lidar_to_world[frame]) @ np.array(there).reshape(-1, 4, 4)
 
     def in_camera(self, frame: int, time_s: float, camera_to_world: np.ndarray) -> np.ndarray:
@@ -44,7 +46,7 @@ class MovingBoxes:
         boxes = [self.to_world[frame][number] for frame in frames]
         if len(boxes) == 1:
             return boxes[0]
-        known_s = np.array([self.time_s[frame] for frame in frames])
+        known_s = np.array([self.boxes_time_s[frame] for frame in frames])
         before = int(np.clip(np.searchsorted(known_s, time_s) - 1, 0, len(boxes) - 2))
         share = (time_s - known_s[before]) / (known_s[before + 1] - known_s[before])
         return box_between(boxes[before], boxes[before + 1], share)
@@ -64,6 +66,7 @@ def read_moving_boxes(store: SceneStore) -> MovingBoxes | None:
     posed = [row for row in recorded if row["pose_valid"]]
     return MovingBoxes(
         to_world=to_world,
+        boxes_time_s={row["frame"]: row.get("boxes_time_s", row["time_s"]) for row in recorded},
         time_s={row["frame"]: row["time_s"] for row in recorded},
         lidar_to_world={row["frame"]: np.array(row["lidar_to_world"]).reshape(4, 4) for row in posed},
         objects=len({row["object_id"] for row in rows}),

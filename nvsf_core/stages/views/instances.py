@@ -38,10 +38,12 @@ def boxes_at(rows: Sequence[Mapping[str, Any]]) -> Callable[[float], list[BoxRec
     """Gives the boxes at an instant of the scene, in seconds.
 
     A moving object's box between two of its own lies between these as `box_between` says; it is absent before
-    its first and after its last.
+    its first and after its last. Where a box is of another moment than the scan that shows the object, the
+    motion goes on to the scan.
 
     Args:
-        rows: One a box: object_id, label, dynamic, box_to_world and, if dynamic, time_s.
+        rows: One a box: object_id, label, dynamic, box_to_world and, if dynamic, time_s, and the scan's
+            scan_time_s where it is another.
     """
     tracks: dict[int, list[Mapping[str, Any]]] = {}
     static: dict[int, Mapping[str, Any]] = {}
@@ -105,21 +107,28 @@ def _can_move(label: str) -> bool:
 
 
 def _labelled(store: SceneStore) -> list[dict[str, Any]]:
-    """Labelled boxes of the frames that the scene has, with their times."""
+    """Labelled boxes of the frames that the scene has, with their times and their scans'."""
     folder = store.require("frames")
     if not (folder / "boxes.parquet").is_file():
         return []
-    time_s = {row["frame"]: row["time_s"] for row in read_rows(folder / "frames.parquet")}
-    rows = [{**row, "time_s": time_s.get(row["frame"])} for row in read_rows(folder / "boxes.parquet")]
-    return [row for row in rows if not row["dynamic"] or row["time_s"] is not None]
+    times_of = {
+        row["frame"]: {"time_s": row.get("boxes_time_s", row["time_s"]), "scan_time_s": row["time_s"]}
+        for row in read_rows(folder / "frames.parquet")
+    }
+    rows = read_rows(folder / "boxes.parquet")
+    known = [row for row in rows if not row["dynamic"] or row["frame"] in times_of]
+    return [{**row, **times_of.get(row["frame"], {})} for row in known]
 
 
 def _between(track: Sequence[Mapping[str, Any]], time_s: float) -> BoxRecord | None:
     known_s = np.array([row["time_s"] for row in track], np.float64)
-    if not known_s[0] - _SAME_S <= time_s <= known_s[-1] + _SAME_S:
+    seen_s = [*known_s, *(row.get("scan_time_s", row["time_s"]) for row in track)]
+    if not min(seen_s) - _SAME_S <= time_s <= max(seen_s) + _SAME_S:
         return None
     after = int(np.clip(np.searchsorted(known_s, time_s), 0, len(known_s) - 1))
     before = max(0, after - 1) if known_s[after] > time_s + _SAME_S else after
+    if not known_s[0] - _SAME_S <= time_s <= known_s[-1] + _SAME_S and len(track) > 1:
+        before, after = (0, 1) if time_s < known_s[0] else (-2, -1)
     length_s = known_s[after] - known_s[before]
     share = 0.0 if length_s <= 0.0 else (time_s - known_s[before]) / length_s
     return _record(track[before], box_between(_matrix(track[before]), _matrix(track[after]), share))
