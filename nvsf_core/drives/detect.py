@@ -4,6 +4,8 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.entries import KITTI_ODOMETRY, SceneEntry
 from nvsf_core.drives.kitti360.frames import MOST_TIMESTAMP_BYTES
@@ -104,7 +106,7 @@ def _compensate(source: Path, kind: str, sequence: str) -> bool | None:
     if kind == KITTI_ODOMETRY:
         scans = sorted((source / "sequences" / sequence / _TIMES_OF_POINTS).glob("*.bin"))
         times = (read_bytes(path, 4 * MOST_RETURNS, "times of points") for path in scans)
-        return True if any(one.strip(b"\0") for one in times) else None
+        return True if any(_is_any_set(one) for one in times) else None
     if kind == "kitti360":
         layout = DriveLayout(source, sequence)
         paths = [layout.timestamps_path(which) for which in ("start", "end")]
@@ -113,6 +115,12 @@ def _compensate(source: Path, kind: str, sequence: str) -> bool | None:
         begin, end = (read_bytes(path, MOST_TIMESTAMP_BYTES, "timestamps") for path in paths)
         return False if begin == end else None
     return None
+
+
+def _is_any_set(times: bytes) -> bool:
+    """Whether a time (float32) is not 0; a rest of bytes is refused where the scan is read."""
+    # Not by bytes: times of a scan of one instant may be -0.
+    return bool(np.frombuffer(times, "<f4", len(times) // 4).any())
 
 
 def _only_sequence(source: Path, kind: str) -> str:

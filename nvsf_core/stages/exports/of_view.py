@@ -78,11 +78,13 @@ class RenderedView:
         row, column = np.divmod(ray, grid[GRID_ARRAYS[0]].shape[1])
         fraction = (column + 0.5) / int(a["grid_firings"][index]) - 0.5
         elapsed = SweepClock.stored(a.get("sweep_clock"), index).elapsed(fraction)
+        # Of one instant, times before it are -0 until 0 is added.
+        offset_s = elapsed * float(self.attrs["sweep_period_s"]) + 0.0
         return ScanRecord(
             number=self.numbers[index],
             rows=rows,
             ring=np.asarray(self.attrs["grid_lasers"])[row].astype("<u2"),
-            offset_s=(elapsed * float(self.attrs["sweep_period_s"])).astype("<f4"),
+            offset_s=offset_s.astype("<f4"),
             support=a["grid_support"][index].reshape(-1)[ray],
             stamp_s=float(a["stamp_s"][index]),
             time_s=float(a["time_s"][index]),
