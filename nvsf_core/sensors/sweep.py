@@ -26,6 +26,9 @@ from nvsf_core.sensors.beam_table import (
 from nvsf_core.sensors.sweep_clock import SweepClock
 from nvsf_core.sensors.tables import LaserTable
 
+_LEAST_SPARE_S = 0.1
+"""Half a sweep at 5 Hz, the slowest there is: rendered scans may be nearer to each other than half of one."""
+
 
 def sweep_fraction(azimuth_rad: np.ndarray) -> np.ndarray:
     """-a / 2 pi of azimuths (...), in [-0.5, 0.5): where in a sweep that is cut behind they are measured."""
@@ -78,8 +81,8 @@ class Trajectory:
     def at(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rotation (N, 3, 3) and scene-local position (N, 3) of the sensor at times (N,), float64.
 
-        Before the first and after the last pose the motion continues unchanged for one interval; a gap in
-        the frames is interpolated. With a single pose the sensor does not move.
+        Before the first and after the last pose the motion continues unchanged for one interval, or half of
+        the longest sweep; a gap in the frames is interpolated. With a single pose the sensor does not move.
 
         Raises:
             DataError: A time lies further outside the poses, or is not finite.
@@ -99,7 +102,7 @@ class Trajectory:
         return pose[inverse, :3, :3], pose[inverse, :3, 3]
 
     def _check_within(self, time_s: np.ndarray) -> None:
-        spare_s = float(np.median(np.diff(self.times_s))) * (1.0 + 1e-6)
+        spare_s = max(float(np.median(np.diff(self.times_s))), _LEAST_SPARE_S) * (1.0 + 1e-6)
         first_s, last_s = self.times_s[0] - spare_s, self.times_s[-1] + spare_s
         outside = ~((time_s >= first_s) & (time_s <= last_s))
         if outside.any():

@@ -52,6 +52,18 @@ def test_times_far_outside_are_refused():
         trajectory.at(np.array([np.nan]))
 
 
+def test_frames_may_be_nearer_to_each_other_than_half_a_sweep_is_long():
+    times_s, poses = _turning_drive()
+    often = Trajectory(0.4 * times_s, poses, SCENE)
+    # Half a sweep before the first pose is 1.25 steps before it: the motion goes on.
+    _, position_m = often.at(np.array([-0.5 * PERIOD_S]))
+    back = exp_se3(-1.25 * np.array([[1.0, 0.02, 0.0, 0.0, 0.01, 0.05]]))
+    expected_m = transform_points(invert_pose(SCENE), (poses[0] @ back[0])[:3, 3][None])
+    np.testing.assert_allclose(position_m, expected_m, atol=1e-9)
+    with pytest.raises(DataError, match=r"within -0\.1000 \.\. 0\.3000 s"):
+        often.at(np.array([0.31]))
+
+
 def test_a_single_pose_stands_still():
     times_s, poses = _turning_drive(1)
     rotation, position_m = Trajectory(times_s, poses, SCENE).at(np.array([-5.0, 0.0, 9.0]))
