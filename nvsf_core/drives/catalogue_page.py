@@ -37,8 +37,9 @@ _FORMATS = {
     " pinhole camera that looks ahead, `image_3` another one of the same axes. Scans are as measured from the"
     " moving car, while the benchmark's are compensated: `velodyne_time` has each point's time (of a scene"
     " with `compensate = false` they are of one instant, all times 0)",
-    "kitti360": "a KITTI-360 root: calibration, poses, timestamps, boxes; this project ingests it again."
-    " Fisheyes of `[[view.camera]]` have the places of such, `image_02` and `image_03`, where these are free",
+    "kitti360": "a KITTI-360 root: calibration, poses, timestamps, boxes, and `ring` and `time` of each point"
+    " beside the scans; this project ingests it again. Fisheyes of `[[view.camera]]` have the places of such,"
+    " `image_02` and `image_03`, where these are free",
     "mcap": "a ROS 2 bag (Humble and newer) in an MCAP file: points, images, depth, instance images,"
     " camera info, transforms, and no boxes, which the manifest has (extra `exports`)",
     "rosbag2": "the same bag in an SQLite file, `.db3` (extra `exports`)",

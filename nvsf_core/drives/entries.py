@@ -60,7 +60,7 @@ class SceneEntry:
     test_frames: tuple[int, ...]
     """Test frames: never trained on, never used to choose anything."""
     sweep_period_s: float | None = None
-    """Duration of a LiDAR sweep. None given = by the points' times, of the kind `kitti360` by the scans'
+    """Duration of a LiDAR sweep. None given = by the points' times, else of the kind `kitti360` by the scans'
     `timestamps_start.txt` and `timestamps_end.txt`, or the step from frame to frame, which also stands for
     one that is given or found and is within a tenth of it. Frames without timestamps are spaced by it, and it
     is stored as assumed."""

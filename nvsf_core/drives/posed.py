@@ -25,8 +25,7 @@ from nvsf_core.drives.kitti360.frames import (
 from nvsf_core.drives.kitti360.scans import Scan
 from nvsf_core.errors import DataError
 from nvsf_core.geometry.se3 import pose_from_parts
-from nvsf_core.sensors.sweep import Trajectory, sweep_fraction
-from nvsf_core.sensors.sweep_clock import sweep_duration_s
+from nvsf_core.sensors.sweep import Trajectory, sweep_by_points_s
 
 _LONGEST_GAP_S = 1.5
 """Poses further apart say nothing of the path between them; those of a localisation of 1 Hz are nearer."""
@@ -190,9 +189,8 @@ class AbstractPosedDrive(AbstractDrive):
     def _sweep_s(self, step_s: float) -> float:
         """Duration of a sweep: as given, else by a scan's times, where it is another than the step."""
         given_s, scan = self.scene.sweep_period_s, self._first_scan
-        if given_s is None and scan is not None and scan.offset_s is not None:
-            azimuth_rad = np.arctan2(scan.points[:, 1].astype(np.float64), scan.points[:, 0])
-            given_s = sweep_duration_s(sweep_fraction(azimuth_rad), scan.offset_s, step_s)
+        if given_s is None and scan is not None:
+            given_s = sweep_by_points_s(scan.points, scan.offset_s, step_s)
         return sweep_of(given_s, step_s)
 
     def _pace_notes(self) -> list[str]:

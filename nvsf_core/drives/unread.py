@@ -9,7 +9,13 @@ from collections.abc import Collection, Iterable
 from difflib import get_close_matches
 from pathlib import Path
 
-from nvsf_core.drives.plain.layout import IMAGE_KINDS, SCAN_KINDS, PlainLayout, files_by_number
+from nvsf_core.drives.plain.layout import (
+    IMAGE_KINDS,
+    SCAN_KINDS,
+    PlainLayout,
+    files_by_number,
+    numbered_files,
+)
 from nvsf_core.errors import DataError
 
 _TABLES = ("drive.json", "poses.csv", "frames.csv", "cameras.json", "boxes.csv")
@@ -111,18 +117,19 @@ def with_folders_below(places: Iterable[Path]) -> list[Path]:
     return folders + [path for one in folders for path in sorted(one.iterdir()) if _is_readable(path)]
 
 
-def unread_columns(*folders: Path) -> tuple[str, ...]:
-    """A note where our exports have rings and times of points, which readers of their layouts pass over.
+def require_files_of_scans(folder: Path, scans: Collection[int]) -> None:
+    """Refuse a folder of values of scans' points none of whose files has the number of one of these scans.
 
-    `folders` are those of `ring` and of `time`.
+    Raises:
+        DataError: There are files, and none has.
+        OSError: The folder cannot be read.
     """
-    there = [one for one in folders if one.is_dir()]
-    if not there:
-        return ()
-    return (
-        f"{there[0].parent}: not read: {' and '.join(one.name for one in there)}; lasers are those of the "
-        "sensor, or found, times follow the azimuths; an export as mcap is read with both",
-    )
+    there = [path.name for path in folder.iterdir()] if folder.is_dir() else []
+    if there and not numbered_files(folder, ("bin",)).keys() & set(scans):
+        raise DataError(
+            f"{folder}: expected files named by the numbers of scans, as 0000000000.bin, found "
+            f"{min(there)!r:.60}; rename them, or remove the folder"
+        )
 
 
 def _is_readable(path: Path) -> bool:

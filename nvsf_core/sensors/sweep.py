@@ -23,7 +23,7 @@ from nvsf_core.sensors.beam_table import (
     turn_up,
     wrap_angle,
 )
-from nvsf_core.sensors.sweep_clock import SweepClock
+from nvsf_core.sensors.sweep_clock import SweepClock, sweep_duration_s
 from nvsf_core.sensors.tables import LaserTable
 
 _LEAST_SPARE_S = 0.1
@@ -33,6 +33,20 @@ _LEAST_SPARE_S = 0.1
 def sweep_fraction(azimuth_rad: np.ndarray) -> np.ndarray:
     """-a / 2 pi of azimuths (...), in [-0.5, 0.5): where in a sweep that is cut behind they are measured."""
     return -wrap_angle(azimuth_rad) / (2.0 * np.pi)
+
+
+def sweep_by_points_s(points_m: np.ndarray, offset_s: np.ndarray | None, step_s: float) -> float | None:
+    """Duration of a sweep by its points' times; None where there are none, or they do not follow the azimuth.
+
+    Args:
+        points_m: (N, 3) or more columns: x, y, z in the sensor's frame, metres.
+        offset_s: (N,) seconds after the frame's time; None = not recorded.
+        step_s: From frame to frame, above 0.
+    """
+    if offset_s is None:
+        return None
+    azimuth_rad = np.arctan2(points_m[:, 1].astype(np.float64), points_m[:, 0])
+    return sweep_duration_s(sweep_fraction(azimuth_rad), offset_s, step_s)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,11 +17,12 @@ from nvsf_core.drives.validation import read_drive
 from nvsf_core.errors import CalibrationError, DataError
 from nvsf_core.stages.exports.kitti import write_kitti
 from nvsf_core.stages.exports.kitti360 import write_kitti360
+from nvsf_core.stages.exports.records import DataSet
 from nvsf_core.stages.exports.ros import write_mcap
 from nvsf_core.stages.imports.convert import import_drive
 from nvsf_core.stages.imports.odometry import times_in_sweeps
 from nvsf_core.stages.runner.facts import scene_facts
-from tests.drives.copies import assert_same_drive, data_set, scene_at, tiny_scene
+from tests.drives.copies import FRAMES, PERIOD_S, assert_same_drive, data_set, scene_at, tiny_scene
 from tests.drives.kitti.raw_writer import write_raw
 
 
@@ -133,7 +134,9 @@ def test_our_own_tree_of_a_scene_of_instants_is_imported_as_one(root, tmp_path, 
     assert np.signbit(at_once.offset_s).any() and not at_once.offset_s.any()
     write(tmp_path, replace(moving, sweep_period_s=0.0, scan=lambda index: at_once))
     name = kind.removesuffix("_odometry")
-    assert not whole_drive(tmp_path / name, kind).is_to_compensate
+    instants = whole_drive(tmp_path / name, kind)
+    assert not instants.is_to_compensate
+    assert drive_of(instants).read_scan(0).offset_s is None, "they are the times of no sensor that turns"
     again = import_drive(
         whole_drive(tmp_path / name, kind), tmp_path / "again", layout="kitti360", progress=_silent
     )
@@ -142,25 +145,74 @@ def test_our_own_tree_of_a_scene_of_instants_is_imported_as_one(root, tmp_path, 
     assert whole_drive(tmp_path / "moving" / name, kind).is_to_compensate
 
 
+def _timed(root: Path, *, spin: float, sweep_s: float, step_s: float) -> DataSet:
+    """The demo as a sensor has it that turns so (1 = clockwise), and whose scans are so far apart."""
+    usual = data_set(tiny_scene(root / "demo"))
+    assert usual.scan is not None
+    scans = [usual.scan(index) for index in range(FRAMES)]
+    scale = np.float32(spin * sweep_s / PERIOD_S)
+    timed = [replace(one, offset_s=scale * one.offset_s) for one in scans]
+    return replace(usual, stamp_s=step_s * np.arange(FRAMES), sweep_period_s=sweep_s, scan=timed.__getitem__)
+
+
+@pytest.mark.parametrize(("write", "kind"), [(write_kitti, "kitti_odometry"), (write_kitti360, "kitti360")])
 @pytest.mark.parametrize(
-    ("write", "kind", "ring", "time"),
+    "timed",
     [
-        (write_kitti, "kitti_odometry", "velodyne_ring", "velodyne_time"),
-        (write_kitti360, "kitti360", "ring", "time"),
+        {"spin": 1.0, "sweep_s": 0.05, "step_s": 0.1},
+        {"spin": 1.0, "sweep_s": 0.1, "step_s": 0.04},
+        {"spin": -1.0, "sweep_s": 0.1, "step_s": 0.1},
     ],
+    ids=["pauses between sweeps", "sweeps overlap", "counter-clockwise"],
 )
-def test_rings_and_times_that_a_tree_of_ours_has_are_said_not_to_be_read(
-    root, tmp_path, write, kind, ring, time
-):
+def test_our_own_trees_are_read_with_rings_and_times_of_any_sensor(root, tmp_path, write, kind, timed):
+    data = _timed(root, **timed)
+    write(tmp_path, data)
+    scene = whole_drive(tmp_path / kind.removesuffix("_odometry"), kind)
+    done = import_drive(scene, tmp_path / "again", progress=_silent)
+    assert done.left_out == () and not any("not read" in note for note in done.notes)
+    (kept,) = load_catalogue([tmp_path / "again/scenes.toml"], None)
+    for drive in (drive_of(scene), drive_of(kept)):
+        assert drive.facts().times.sweep_period_s == pytest.approx(timed["sweep_s"], rel=1e-3)
+        for frame in range(FRAMES):
+            scan, recorded = drive.read_scan(frame), data.scan(frame)
+            assert np.array_equal(scan.ring, recorded.ring)
+            assert np.abs(scan.offset_s - recorded.offset_s).max() < 1e-5
+        names = [path.parent.name for path in drive.section().files if path.suffix == ".bin"]
+        assert len(names) == 3 * FRAMES, "a change of rings or times is one of the drive"
+
+
+@pytest.mark.parametrize(
+    ("write", "kind", "time"),
+    [(write_kitti, "kitti_odometry", "velodyne_time"), (write_kitti360, "kitti360", "time")],
+)
+def test_times_that_are_not_of_their_scans_are_refused(root, tmp_path, write, kind, time):
     write(tmp_path, data_set(tiny_scene(root / "demo")))
-    place = tmp_path / kind.removesuffix("_odometry")
-    done = import_drive(whole_drive(place, kind), tmp_path / "again", progress=_silent)
-    said = [note for note in done.notes if "not read" in note]
-    assert len(said) == 1 and f"not read: {ring} and {time};" in said[0] and "mcap" in said[0], done.notes
-    for folder in [*place.rglob(ring), *place.rglob(time)]:
+    scene = whole_drive(tmp_path / kind.removesuffix("_odometry"), kind)
+    paths = sorted(next(tmp_path.rglob(time)).iterdir())
+    paths[0].write_bytes(paths[0].read_bytes()[:-3])
+    np.full(len(paths[1].read_bytes()) // 4, np.nan, "<f4").tofile(paths[1])
+    paths[3].unlink()
+    drive = drive_of(scene)
+    with pytest.raises(DataError, match=r"0\.bin: expected \d+ values <f4, one time a point, found \d+"):
+        drive.read_scan(0)
+    with pytest.raises(DataError, match=r"1\.bin: time: expected a finite time of each point"):
+        drive.read_scan(1)
+    assert drive.read_scan(3).offset_s is None
+    for path in paths[:3]:
+        path.rename(path.with_name(f"scan_{path.name}"))
+    with pytest.raises(DataError, match=r"time: expected files named by the numbers of scans, .* 'scan_0"):
+        drive_of(scene).facts()
+
+
+@pytest.mark.parametrize("write", [write_kitti, write_kitti360])
+def test_trees_without_rings_and_times_have_none(root, tmp_path, write):
+    write(tmp_path, data_set(tiny_scene(root / "demo")))
+    for folder in [one for name in ("ring", "time") for one in tmp_path.rglob(f"*{name}") if one.is_dir()]:
         shutil.rmtree(folder)
-    bare = import_drive(whole_drive(place, kind), tmp_path / "bare", progress=_silent)
-    assert not any("not read" in note for note in bare.notes)
+    (place,) = tmp_path.iterdir()
+    scan = drive_of(whole_drive(place, kind_of(place))).read_scan(1)
+    assert scan.ring is None and scan.offset_s is None
 
 
 def test_a_sequence_of_kittis_odometry_without_poses_says_how_to_find_them(root):

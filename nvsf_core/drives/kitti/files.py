@@ -4,6 +4,7 @@ KITTI's images are PNG; copies of it that were made smaller have JPEG in their p
 """
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from functools import cached_property
 from os.path import lexists
 from pathlib import Path
@@ -15,7 +16,7 @@ from nvsf_core.drives.drive import Recorded
 from nvsf_core.drives.kitti360.calibration import CameraCalibration
 from nvsf_core.drives.kitti360.images import decode_picture, jpeg_size, read_image_bytes
 from nvsf_core.drives.kitti360.layout import CAMERAS
-from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan_bytes
+from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_columns, read_scan_bytes
 from nvsf_core.drives.plain.layout import IMAGE_KINDS, numbered_files
 from nvsf_core.drives.posed import AbstractPosedDrive
 from nvsf_core.drives.section import Section
@@ -46,6 +47,11 @@ class AbstractKittiDrive(AbstractPosedDrive):
         """Folder of a camera's images."""
 
     @property
+    def column_dirs(self) -> Mapping[str, Path]:
+        """Folders of what is known of each point beside the scans, by names of `COLUMNS`; KITTI has none."""
+        return {}
+
+    @property
     @abstractmethod
     def tables(self) -> tuple[Path, ...]:
         """Files of calibration, poses and times, whether they exist or not; the first ones are needed."""
@@ -63,6 +69,11 @@ class AbstractKittiDrive(AbstractPosedDrive):
     def scan_files(self) -> dict[int, Path]:
         """The drive's scans by frame."""
         return numbered_files(self.scans_dir, ("bin",))
+
+    @cached_property
+    def column_files(self) -> dict[str, dict[int, Path]]:
+        """Files beside the scans, by what they hold and frame."""
+        return {name: numbered_files(folder, ("bin",)) for name, folder in self.column_dirs.items()}
 
     @cached_property
     def image_files(self) -> dict[str, dict[int, Path]]:
@@ -99,7 +110,10 @@ class AbstractKittiDrive(AbstractPosedDrive):
         frames = [
             path for frame in self.frames
             for path in (
-                *(files[frame] for files in (self.scan_files, *used) if frame in files),
+                *(
+                    files[frame] for files in (self.scan_files, *self.column_files.values(), *used)
+                    if frame in files
+                ),
                 *self.frame_files(frame),
             )
         ]  # fmt: skip
@@ -120,9 +134,11 @@ class AbstractKittiDrive(AbstractPosedDrive):
         """Misnamed files. A JPEG beside a frame's PNG is none."""
         used = CAMERAS if self.scene.cameras is None else self.scene.cameras
         folders = [self.images_dir(name) for name in used]
-        words = unnamed_files(self.scans_dir, ("bin",))
+        words = []
+        for folder in (self.scans_dir, *self.column_dirs.values()):
+            words += unnamed_files(folder, ("bin",))
+            require_one_of_each(folder, ("bin",), self.frames)
         words += [one for folder in folders for one in unnamed_files(folder, IMAGE_KINDS)]
-        require_one_of_each(self.scans_dir, ("bin",), self.frames)
         for folder in folders:
             require_one_of_each(folder, ("png",), self.frames)
             require_one_of_each(folder, ("jpg", "jpeg"), self.frames)
@@ -141,13 +157,16 @@ class AbstractKittiDrive(AbstractPosedDrive):
         return self.images_dir(camera) if camera in self.image_files else None
 
     def find_scan(self, frame: int) -> Recorded | None:
-        """The bytes of a `.bin`."""
+        """The bytes of a `.bin`, and of what lies beside it."""
         path = self.scan_files.get(frame)
-        return None if path is None else Recorded(path, read_scan_bytes(path))
+        if path is None:
+            return None
+        beside = {name: files[frame] for name, files in self.column_files.items() if frame in files}
+        return Recorded(path, read_scan_bytes(path), read_columns(beside))
 
     def _decoded(self, found: Recorded) -> Scan:
-        """Float32 x, y, z, reflectance; its points have no times."""
-        return parse_scan(found.path, found.data)
+        """Float32 x, y, z, reflectance."""
+        return parse_scan(found.path, found.data, found.beside)
 
     def find_image(self, camera: str, frame: int, width: int, height: int) -> Recorded | None:
         """The bytes of a PNG or JPEG."""

@@ -1,6 +1,5 @@
 """A sequence of KITTI's odometry benchmark: `sequences/00`, `poses/00.txt`."""
 
-from dataclasses import replace
 from os.path import lexists
 from pathlib import Path
 
@@ -15,9 +14,10 @@ from nvsf_core.drives.kitti.files import (
 )
 from nvsf_core.drives.kitti.poses import read_poses, read_seconds
 from nvsf_core.drives.kitti360.calibration import Calibration
+from nvsf_core.drives.kitti360.scans import COLUMNS
 from nvsf_core.drives.kitti360.text import KeyedText
 from nvsf_core.drives.posed import PosePath, require_ascending
-from nvsf_core.drives.unread import unread_columns
+from nvsf_core.drives.unread import require_files_of_scans
 from nvsf_core.errors import CalibrationError, DataError
 
 _NUMBERS = {f"image_0{number}": number for number in range(4)}
@@ -43,6 +43,11 @@ class KittiOdometryDrive(AbstractKittiDrive):
     def scans_dir(self) -> Path:
         """`velodyne`."""
         return self._place / "velodyne"
+
+    @property
+    def column_dirs(self) -> dict[str, Path]:
+        """`velodyne_ring` and `velodyne_time`, which only trees that this project wrote have."""
+        return {name: self._place / f"velodyne_{name}" for name in COLUMNS}
 
     def images_dir(self, camera: str) -> Path:
         """`image_0` to `image_3`."""
@@ -82,12 +87,14 @@ class KittiOdometryDrive(AbstractKittiDrive):
         return PosePath(seconds, CAMERA_AXES_TO_Z_UP @ poses, self.poses_file)
 
     def facts(self) -> DriveFacts:
-        """See the base class; with a note on rings and times of our own exports."""
-        facts, place = super().facts(), self._place
-        return replace(
-            facts,
-            notes=(*facts.notes, *unread_columns(place / "velodyne_ring", place / "velodyne_time")),
-        )
+        """Calibration, poses and times.
+
+        Raises:
+            DataError: There are rings or times, and none of any scan; and see the base class.
+        """
+        for folder in self.column_dirs.values():
+            require_files_of_scans(folder, self.scan_files)
+        return super().facts()
 
     def calibration(self) -> Calibration:
         """`calib.txt`: `Tr` of the LiDAR, `P0` to `P3` of the cameras."""

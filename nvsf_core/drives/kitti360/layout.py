@@ -64,6 +64,14 @@ class DriveLayout:
         """One LiDAR scan: float32 x, y, z, reflectance."""
         return self.velodyne_dir / "data" / f"{frame:010d}.bin"
 
+    def column_dir(self, name: str) -> Path:
+        """`ring` or `time` of the scans' points, a file a scan: of trees that this project wrote."""
+        return self.velodyne_dir / name
+
+    def column_path(self, name: str, frame: int) -> Path:
+        """A file of `column_dir`."""
+        return self.column_dir(name) / f"{frame:010d}.bin"
+
     def timestamps_path(self, kind: str = "") -> Path:
         """Times of the scans' poses; with `kind` = `start` or `end`, of the sweeps' begin or end."""
         return self.velodyne_dir / (f"timestamps_{kind}.txt" if kind else "timestamps.txt")

@@ -1,11 +1,13 @@
 """LiDAR scans as `.bin` files of float32 x, y, z in metres and reflectance 0..1: read, validated, written."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from nvsf_core.drives.kitti360.text import read_bytes
+from nvsf_core.drives.point_times import after_frame
 from nvsf_core.errors import DataError, ShapeError
 
 MAX_RANGE_M = 300.0
@@ -15,6 +17,10 @@ MAX_ABSURD_SHARE = 0.01
 
 MOST_RETURNS = 2 * 128 * 4096
 """Most returns of a sweep: two of each of 128 lasers at each of 4096 columns, the largest there is."""
+
+COLUMNS = {"ring": "<u2", "time": "<f4"}
+"""What files beside a scan may hold of each of its points, and as which numbers: of plain drives, and of
+trees that this project wrote."""
 
 _BYTES_PER_RETURN = 16
 _REMEDIES = ("", "give points in metres, in the sensor's own frame, or ", "scale intensities to 0..1, or ")
@@ -46,17 +52,52 @@ def read_scan_bytes(path: Path) -> bytes:
     return read_bytes(path, _BYTES_PER_RETURN * MOST_RETURNS, "scan")
 
 
-def parse_scan(path: Path, data: bytes) -> Scan:
-    """Validate and decode a scan.
+def read_columns(paths: Mapping[str, Path]) -> tuple[tuple[str, bytes], ...]:
+    """The bytes of files beside a scan, by names of `COLUMNS`, not validated.
 
     Raises:
-        DataError: It is truncated, has no returns, or more than 1 % of its points are absurd.
+        DataError: One is not a regular file, or too large for a scan.
+    """
+    return tuple((name, read_bytes(path, 4 * MOST_RETURNS, "scan")) for name, path in paths.items())
+
+
+def parse_columns(path: Path, beside: Iterable[tuple[str, bytes]], count: int) -> dict[str, np.ndarray]:
+    """Values (count,) of the points of a scan, by their names, from the bytes of files beside it.
+
+    Raises:
+        DataError: A file has not one value a point.
+    """
+    columns = {}
+    for name, data in beside:
+        kind = np.dtype(COLUMNS[name])
+        if len(data) != count * kind.itemsize:
+            raise DataError(
+                f"{path}: expected {count} values {COLUMNS[name]}, one {name} a point, found {len(data)} "
+                f"bytes in the file of {name} beside it; copy both again, or remove that file"
+            )
+        columns[name] = np.frombuffer(data, kind)
+    return columns
+
+
+def parse_scan(path: Path, data: bytes, beside: Iterable[tuple[str, bytes]] = ()) -> Scan:
+    """Validate and decode a scan, with the rings and times that files beside it hold.
+
+    Raises:
+        DataError: It is truncated, has no returns, or more than 1 % of its points are absurd; or what lies
+            beside it is not of its points, or times are no scan's.
     """
     if len(data) % _BYTES_PER_RETURN:
         raise DataError(
             f"{path}: truncated scan, {len(data)} bytes are no multiple of {_BYTES_PER_RETURN}; copy it again"
         )
-    return usable_scan(path, np.frombuffer(data, dtype="<f4").reshape(-1, 4))
+    points = np.frombuffer(data, dtype="<f4").reshape(-1, 4)
+    columns = parse_columns(path, beside, len(points))
+    time = columns.get("time")
+    if time is not None and not time.any():
+        time = None  # of one instant: they say nothing of when the sensor looked where
+    if time is not None:
+        time = after_frame(f"{path}: time", time, np.asarray(points[:, :3].any(axis=1)), None)
+    return usable_scan(path, points, columns.get("ring"), time)
 
 
 def usable_scan(

@@ -1,6 +1,8 @@
 """A section of a drive in KITTI-360's layout."""
 
+import contextlib
 from collections.abc import Iterator
+from dataclasses import replace
 from os.path import lexists
 from pathlib import Path
 
@@ -22,13 +24,21 @@ from nvsf_core.drives.kitti360.frames import (
     read_cam0_to_world,
     read_poses,
     recorded_frames,
+    sweep_of,
 )
 from nvsf_core.drives.kitti360.images import decode_image, read_image_bytes
 from nvsf_core.drives.kitti360.layout import CAMERAS, FISHEYE_CAMERAS, DriveLayout
-from nvsf_core.drives.kitti360.scans import Scan, parse_scan, read_scan_bytes
+from nvsf_core.drives.kitti360.scans import COLUMNS, Scan, parse_scan, read_columns, read_scan_bytes
 from nvsf_core.drives.kitti360.text import require_folder
 from nvsf_core.drives.section import Section
-from nvsf_core.drives.unread import require_none_in, unnamed_files, unread_columns, with_folders_below
+from nvsf_core.drives.unread import (
+    require_files_of_scans,
+    require_none_in,
+    unnamed_files,
+    with_folders_below,
+)
+from nvsf_core.errors import DataError
+from nvsf_core.sensors.sweep import sweep_by_points_s
 from nvsf_core.sensors.tables import HDL_64E
 
 
@@ -58,10 +68,11 @@ class Kitti360Drive(AbstractDrive):
             for path in (layout.scan_path(frame), *(layout.image_path(camera, frame) for camera in used))
             if path.parent in folders
         ]  # fmt: skip
+        beside = [layout.column_path(name, frame) for name in COLUMNS for frame in self.frames]
         frames = recorded_frames(layout)
         needed = [layout.poses_path, layout.calibration_dir]
         return Section(
-            files=tuple(path for path in (*_common_files(layout), *wanted) if lexists(path)),
+            files=tuple(path for path in (*_common_files(layout), *wanted, *beside) if lexists(path)),
             folders=folders,
             missing=tuple(_below(path, layout) for path in needed if not lexists(path)),
             gaps=tuple(_below(path, layout) for path in wanted if not lexists(path)),
@@ -76,16 +87,36 @@ class Kitti360Drive(AbstractDrive):
             require_none_in(with_folders_below([sequence, *sequence.iterdir()]), scans, ("bin",))
         used = self.scene.cameras if self.scene.cameras is not None else CAMERAS
         words = unnamed_files(scans, ("bin",))
+        words += [one for name in COLUMNS for one in unnamed_files(layout.column_dir(name), ("bin",))]
         return words + [one for name in used for one in unnamed_files(layout.camera_dir(name), ("png",))]
 
     def times(self) -> FrameTimes:
-        """Times of the frames, from the timestamp files or a nominal period."""
+        """Times of the frames, from the timestamp files or a nominal period; see `SceneEntry`."""
         scene = self.scene
-        return frame_times(self._layout, scene.first_frame, scene.last_frame, scene.sweep_period_s)
+        times = frame_times(self._layout, scene.first_frame, scene.last_frame, scene.sweep_period_s)
+        if scene.sweep_period_s is not None:
+            return times
+        known_s = self._sweep_by_points_s(times.sweep_period_s)
+        return replace(times, sweep_period_s=sweep_of(known_s, times.sweep_period_s))
+
+    def _sweep_by_points_s(self, step_s: float) -> float | None:
+        """Duration of a sweep by the first scan that has times of its points and can be read."""
+        for frame in self.frames:
+            if lexists(self._layout.column_path("time", frame)):
+                with contextlib.suppress(DataError):  # named where the frame itself is read
+                    scan = self.read_scan(frame)
+                    return sweep_by_points_s(scan.points, scan.offset_s, step_s)
+        return None
 
     def facts(self) -> DriveFacts:
-        """Calibration, poses and times."""
-        layout = self._layout
+        """Calibration, poses and times.
+
+        Raises:
+            DataError: There are rings or times, and none of any scan; and see the base class.
+        """
+        layout, recorded = self._layout, recorded_frames(self._layout)
+        for name in COLUMNS:
+            require_files_of_scans(layout.column_dir(name), recorded)
         has_scans = require_folder(layout.velodyne_dir) and require_folder(layout.scan_path(0).parent)
         calibration = read_calibration(layout, self.scene.cameras, has_scans=has_scans)
         poses = read_poses(layout.poses_path)
@@ -93,7 +124,6 @@ class Kitti360Drive(AbstractDrive):
             calibration=calibration, poses=poses, poses_place=layout.poses_path, times=self.times(),
             has_scans=has_scans, sensor=self.scene.lidar or HDL_64E.name,
             disagreement=self._disagreement(poses, calibration),
-            notes=unread_columns(layout.velodyne_dir / "ring", layout.velodyne_dir / "time"),
         )  # fmt: skip
 
     def places_m(self) -> np.ndarray:
@@ -108,13 +138,17 @@ class Kitti360Drive(AbstractDrive):
         return place if place.is_dir() else None
 
     def find_scan(self, frame: int) -> Recorded | None:
-        """The bytes of a `.bin`."""
+        """The bytes of a `.bin`, and of what lies beside it."""
         path = self._layout.scan_path(frame)
-        return Recorded(path, read_scan_bytes(path)) if lexists(path) else None
+        if not lexists(path):
+            return None
+        beside = {name: self._layout.column_path(name, frame) for name in COLUMNS}
+        there = {name: one for name, one in beside.items() if lexists(one)}
+        return Recorded(path, read_scan_bytes(path), read_columns(there))
 
     def parse_scan(self, found: Recorded) -> Scan:
-        """Decode float32 x, y, z, reflectance."""
-        return parse_scan(found.path, found.data)
+        """Decode float32 x, y, z, reflectance, and ring and time beside them."""
+        return parse_scan(found.path, found.data, found.beside)
 
     def find_image(self, camera: str, frame: int, width: int, height: int) -> Recorded | None:
         """The bytes of a PNG."""

@@ -13,7 +13,15 @@ from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.calibration import Calibration
 from nvsf_core.drives.kitti360.frames import NOMINAL_PERIOD_S, FrameTimes
 from nvsf_core.drives.kitti360.images import decode_picture, read_image_bytes
-from nvsf_core.drives.kitti360.scans import MAX_ABSURD_SHARE, MOST_RETURNS, Scan, usable_scan
+from nvsf_core.drives.kitti360.scans import (
+    COLUMNS,
+    MAX_ABSURD_SHARE,
+    MOST_RETURNS,
+    Scan,
+    parse_columns,
+    read_columns,
+    usable_scan,
+)
 from nvsf_core.drives.kitti360.text import read_bytes
 from nvsf_core.drives.lenses import Lens
 from nvsf_core.drives.plain.box_table import read_box_table
@@ -24,7 +32,12 @@ from nvsf_core.drives.plain.tables import read_pose_table, read_times
 from nvsf_core.drives.point_times import after_frame
 from nvsf_core.drives.posed import AbstractPosedDrive, PosePath
 from nvsf_core.drives.section import Section
-from nvsf_core.drives.unread import require_one_of_each, unknown_names, unnamed_files
+from nvsf_core.drives.unread import (
+    require_files_of_scans,
+    require_one_of_each,
+    unknown_names,
+    unnamed_files,
+)
 from nvsf_core.errors import DataError
 
 _MOST_POINT_BYTES = 256
@@ -32,7 +45,6 @@ _MOST_POINT_BYTES = 256
 _TIME_NAMES = ("time", "t", "timestamp", "time_offset")
 _SAME_TIME_S = 1e-3
 """Times of a frame in two tables differ by their digits; 1 ms is 3 cm at 30 m/s."""
-_BESIDE = {"ring": "<u2", "time": "<f4"}
 
 
 class PlainDrive(AbstractPosedDrive):
@@ -49,7 +61,7 @@ class PlainDrive(AbstractPosedDrive):
     @cached_property
     def _beside(self) -> dict[str, dict[int, Path]]:
         """Files beside the scans, by what they hold and frame."""
-        return {name: numbered_files(self.layout.beside_dir(name), ("bin",)) for name in _BESIDE}
+        return {name: numbered_files(self.layout.beside_dir(name), ("bin",)) for name in COLUMNS}
 
     @cached_property
     def _images(self) -> dict[str, dict[int, Path]]:
@@ -97,7 +109,7 @@ class PlainDrive(AbstractPosedDrive):
         """Misnamed files and folders."""
         layout, wanted = self.layout, self.scene.cameras
         cameras = [name for name in self._images if wanted is None or name in wanted]
-        places = [(layout.scans_dir, SCAN_KINDS), *((layout.beside_dir(name), ("bin",)) for name in _BESIDE)]
+        places = [(layout.scans_dir, SCAN_KINDS), *((layout.beside_dir(name), ("bin",)) for name in COLUMNS)]
         places += [(layout.images_dir(name), IMAGE_KINDS) for name in cameras]
         words = [one for folder, kinds in places for one in unnamed_files(folder, kinds)]
         for folder, kinds in places:
@@ -112,13 +124,8 @@ class PlainDrive(AbstractPosedDrive):
         Raises:
             DataError: There are rings or times, and none of any scan; and see the base class.
         """
-        for name, files in self._beside.items():
-            folder = self.layout.beside_dir(name)
-            if folder.is_dir() and any(folder.iterdir()) and not self._scans.keys() & files.keys():
-                raise DataError(
-                    f"{folder}: expected files named by the numbers of scans, as 0000000000.bin, found "
-                    f"{min(path.name for path in folder.iterdir())!r:.60}; rename them, or remove the folder"
-                )
+        for name in self._beside:
+            require_files_of_scans(self.layout.beside_dir(name), self._scans)
         return super().facts()
 
     @cached_property
@@ -219,25 +226,13 @@ class PlainDrive(AbstractPosedDrive):
         if path is None:
             return None
         data = read_bytes(path, _MOST_POINT_BYTES * MOST_RETURNS, "scan")
-        beside = tuple(
-            (name, read_bytes(files[frame], 4 * MOST_RETURNS, "scan"))
-            for name, files in self._beside.items() if frame in files
-        )  # fmt: skip
-        return Recorded(path, data, beside)
+        beside = {name: files[frame] for name, files in self._beside.items() if frame in files}
+        return Recorded(path, data, read_columns(beside))
 
     def _decoded(self, found: Recorded) -> Scan:
         read = {".bin": read_bin, ".ply": read_ply, ".pcd": read_pcd}[found.path.suffix.lower()]
         columns = dict(read(found.path, found.data))
-        count = len(columns.get("x", ()))
-        for name, data in found.beside:
-            kind_of = np.dtype(_BESIDE[name])
-            values = np.frombuffer(data, kind_of) if len(data) == count * kind_of.itemsize else np.zeros(0)
-            if len(values) != count:
-                raise DataError(
-                    f"{found.path}: expected {count} values {_BESIDE[name]}, one {name} a point, found "
-                    f"{len(data)} bytes in the file {name}/ beside it"
-                )
-            columns[name] = values
+        columns |= parse_columns(found.path, found.beside, len(columns.get("x", ())))
         if {"x", "y", "z"} <= columns.keys():
             # A cloud with a place for each ray has NaN where nothing returned.
             is_return = np.isfinite([columns[name] for name in "xyz"]).all(axis=0)

@@ -1,5 +1,8 @@
 """Format `kitti360`: the whole layout of a KITTI-360 drive, which this project ingests again.
 
+Beside `velodyne_points/data`, `ring` and `time` hold the laser and the time after the stamp of each point:
+the data set itself does not have them.
+
 Frames are numbered as the data set's files; timestamps have a line a frame from frame 0, those between hold
 the times that an even pace would give them. Recorded images are rectified: `image_02` and `image_03`,
 whose recorded images are fisheyes, come as MEI cameras without distortion. Cameras of other intrinsics take
@@ -71,7 +74,7 @@ def write_kitti360(folder: Path, data: DataSet) -> None:
             scan = data.scan(index)
             write_scan(layout.scan_path(number), scan.rows[:, :3], scan.rows[:, 3])
             for name, values in scan.beside.items():
-                write_column(layout.velodyne_dir / name / f"{number:010d}.bin", values)
+                write_column(layout.column_path(name, number), values)
         for name, own in names.items():
             image = data.image(own, index)
             write_image(layout.image_path(name, number), image.rgb)
