@@ -55,7 +55,7 @@ def _recipes() -> str:
         others = ", ".join(_differences(recipe, type(recipe)(name=recipe.name)))
         rows.append(f"| `{recipe.name}` | {recipe.family} | {others or 'nothing'} |")
     table = "\n".join(rows)
-    specs = "\n\n".join(f"::: nvsf_core.recipe.{name}" for name in ("residual", "paper"))
+    specs = "\n\n".join(f"::: nvsf_core.recipe.{name}" for name in ("residual", "paper", "bounds"))
     return f"# Recipes\n{_from_root(said)}\n## All presets\n\n{table}\n\n## Every value\n\n{specs}\n"
 
 

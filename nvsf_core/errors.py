@@ -6,7 +6,7 @@ NvsfError
 │   ├── MissingFrameError    a requested frame cannot be used
 │   └── CalibrationError     a calibration file lacks a value, or one is invalid
 ├── ShapeError               an array has another shape than its contract says
-├── RecipeError              a recipe is unknown or contradicts itself
+├── RecipeError              a recipe is unknown, has a wrong value, or contradicts itself
 ├── StoreError               an output is absent, half-written, or not what its schema says
 ├── CheckFailedError         a blocking check of a stage failed
 ├── StageKilledError         the process of a stage died
@@ -55,7 +55,7 @@ class ShapeError(NvsfError):
 
 
 class RecipeError(NvsfError):
-    """A recipe is unknown or contradicts itself."""
+    """A recipe is unknown, has a value of the wrong type or out of bounds, or contradicts itself."""
 
 
 class StoreError(NvsfError):

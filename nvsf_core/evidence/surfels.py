@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from nvsf_core.errors import ShapeError
 from nvsf_core.evidence.voxel_planes import joined_planes, own_planes
 from nvsf_core.evidence.voxel_sizes import SizedVoxels, VoxelLevel, VoxelMoments, sized_voxels
 from nvsf_core.geometry.voxels import BRICK, VoxelIndex, index_points, occupied_bits
@@ -114,7 +115,13 @@ class Surfels:
             most: Surfaces after which it ends.
             stop_transmittance: Share of the light below which it ends.
             faintest: Share of the light that a surface must stop; others are left out.
+
+        Raises:
+            ShapeError: `most` is below 1.
         """
+        # The kernels write a surface before they count it: without room for one, into foreign memory.
+        if most < 1:
+            raise ShapeError(f"walk_limits: expected room for at least 1 surface a ray, found {most}")
         return WalkLimits(float(near_m), float(far_m), most, stop_transmittance, faintest)
 
     @property
@@ -295,6 +302,9 @@ def candidates_of(
         most: Most surfaces per ray.
         near_m: Least range.
         far_m: Greatest range.
+
+    Raises:
+        ShapeError: `most` is below 1.
     """
     range_m, voxel, opacity, cosine, _ = find_candidates(
         np.ascontiguousarray(origin_m, np.float32),

@@ -8,10 +8,11 @@ from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
 from nvsf_core.errors import RecipeError
 from nvsf_core.names import name_fault
+from nvsf_core.recipe.bounds import Spec
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recipe:
+class Recipe(Spec):
     """All that decides what is trained and rendered, but the seed."""
 
     family: ClassVar[str] = ""
@@ -21,10 +22,15 @@ class Recipe:
     """Used as name of the output folders."""
 
     def __post_init__(self) -> None:
-        """Refuse a name that cannot be a folder's."""
+        """Refuse a name that cannot be a folder's, and wrong values.
+
+        Raises:
+            RecipeError: The name or a value is wrong.
+        """
         fault = name_fault(self.name)
         if fault is not None:
             raise RecipeError(f"recipe: {fault}")
+        Spec.__post_init__(self)
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON values, with the family."""
@@ -35,13 +41,13 @@ class Recipe:
         """Read back what `to_json` gave.
 
         Raises:
-            RecipeError: A field is unknown or missing.
+            RecipeError: A field is unknown or missing, or its value is wrong.
         """
         if values.get("family") != cls.family:
             raise RecipeError(f"expected a recipe of the family {cls.family}, found {values.get('family')!r}")
         try:
             made: Self = _read(cls, {name: value for name, value in values.items() if name != "family"})
-        except TypeError as error:
+        except (TypeError, RecipeError) as error:
             raise RecipeError(f"this is no recipe of this version: {error}; train again") from error
         return made
 
@@ -50,22 +56,14 @@ class Recipe:
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
 
-_PLAIN: dict[Any, Any] = {bool: bool, int: int, float: (int, float), str: str}
-"""Types of single values, and the JSON types accepted for them: a whole number is a float, too."""
-
-
 def _read(kind: Any, value: Any) -> Any:
-    """Convert a JSON value to a type: a dataclass, a tuple, a plain type, or a union of these."""
+    """Convert a JSON value to a type: a dataclass, a tuple, or a union of one and others; others stay."""
     if is_dataclass(kind) and isinstance(kind, type):
         if not isinstance(value, dict):
             raise TypeError(f"expected the fields of {kind.__name__}, found {value!r}")
         hints = get_type_hints(kind)
         named = {field.name: hints[field.name] for field in fields(kind)}
         return kind(**{name: _read(named.get(name), part) for name, part in value.items()})
-    if kind in _PLAIN and (
-        isinstance(value, bool) is not (kind is bool) or not isinstance(value, _PLAIN[kind])
-    ):
-        raise TypeError(f"expected a {kind.__name__}, found {value!r:.60}")
     if isinstance(value, list):
         return tuple(value)
     if get_origin(kind) is UnionType and isinstance(value, dict):

@@ -1,5 +1,6 @@
 """The presets by name (`lean`, `quick`, `short`, `smoke`, the paper's), and those with smaller step sizes."""
 
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar
 
@@ -191,7 +192,8 @@ def slower(recipe: _Kind, share: float) -> _Kind:
         raise RecipeError(
             f"recipe {recipe.name}: expected a share of its rates from {_LEAST_SHARE:g} to 1, found {share}"
         )
-    return replace(_scaled(recipe, share), name=f"{full_name(recipe.name)}{_MARK}{share:g}")
+    slowed = _with_rates(recipe, lambda rate: rate * share)
+    return replace(slowed, name=f"{full_name(recipe.name)}{_MARK}{share:g}")
 
 
 def full_name(name: str) -> str:
@@ -214,16 +216,16 @@ def share_of(name: str) -> float:
 
 def differ_in_step_size(one: Recipe, other: Recipe) -> bool:
     """Whether two recipes differ in their step sizes and in nothing else but their names."""
-    same, also = (replace(_scaled(recipe, 0.0), name="same") for recipe in (one, other))
+    same, also = (replace(_with_rates(recipe, lambda _: 1.0), name="same") for recipe in (one, other))
     return one != other and type(one) is type(other) and bool(same == also)
 
 
-def _scaled(spec: Any, share: float) -> Any:
+def _with_rates(spec: Any, change: Callable[[float], float]) -> Any:
     changed: dict[str, Any] = {}
     for field in fields(spec):
         value = getattr(spec, field.name)
         if is_dataclass(value):
-            changed[field.name] = _scaled(value, share)
+            changed[field.name] = _with_rates(value, change)
         elif field.name in _RATES:
-            changed[field.name] = value * share
+            changed[field.name] = change(value)
     return replace(spec, **changed) if changed else spec

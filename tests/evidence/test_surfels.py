@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nvsf_core.errors import DataError
+from nvsf_core.errors import DataError, ShapeError
 from nvsf_core.evidence.surfels import build_surfels, candidates_of, weighted_median_index
 from nvsf_core.geometry.voxels import index_points
 from nvsf_core.kernels.voxel_passes import count_passes
@@ -228,3 +228,12 @@ def test_the_median_is_the_first_sample_to_reach_half_of_the_weight():
 
 def test_the_median_of_a_bimodal_ray_lies_on_a_surface():
     assert weighted_median_index(np.array([[0.45, 0.0, 0.0, 0.55]])).tolist() == [3]
+
+
+@pytest.mark.parametrize("most", [0, -1])
+def test_a_walk_without_room_for_a_surface_is_refused_before_its_kernel_writes(wall, most) -> None:
+    origin, direction, _ = rays_to_wall(8, 1)
+    with pytest.raises(ShapeError, match=f"at least 1 surface a ray, found {most}"):
+        candidates_of(wall, origin, direction, most=most, near_m=0.0, far_m=50.0)
+    with pytest.raises(ShapeError, match=f"at least 1 surface a ray, found {most}"):
+        reproject_rays(wall, origin, direction, np.ones(8, np.float32), most=most, far_m=50.0)

@@ -1,6 +1,6 @@
 """The paper's recipes go through the whole lineage, and a killed training ends as if it had not been."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -185,7 +185,7 @@ SWITCHES = {
     "flow_magnitude": {"losses": replace(smoke().losses, flow_magnitude=1.0)},
     **{
         slip: {"slips": ReferenceQuirks(**{slip: 2.0 if slip == "bound" else True})}
-        for slip in ReferenceQuirks.__dataclass_fields__
+        for slip in (one.name for one in fields(ReferenceQuirks))
     },
 }
 
