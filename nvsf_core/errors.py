@@ -5,7 +5,7 @@ NvsfError
 │   ├── NoDataError          the drive is not on this machine
 │   ├── MissingFrameError    a requested frame cannot be used
 │   └── CalibrationError     a calibration file lacks a value, or one is invalid
-├── ShapeError               an array has another shape than its contract says
+├── ShapeError               an array has another shape or type than its contract says
 ├── RecipeError              a recipe is unknown, has a wrong value, or contradicts itself
 ├── StoreError               an output is absent, half-written, or not what its schema says
 ├── CheckFailedError         a blocking check of a stage failed
@@ -51,7 +51,7 @@ class CalibrationError(DataError):
 
 
 class ShapeError(NvsfError):
-    """An array has another shape than its contract says."""
+    """An array has another shape or type than its contract says."""
 
 
 class RecipeError(NvsfError):

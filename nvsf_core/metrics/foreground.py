@@ -19,7 +19,7 @@ import numpy as np
 from nvsf_core.geometry.boxes import inside_any
 from nvsf_core.metrics.elementwise import psnr, rmse
 from nvsf_core.metrics.hit import hit_cell_metrics
-from nvsf_core.metrics.image import image_metrics
+from nvsf_core.metrics.image import image_metrics, require_images
 from nvsf_core.metrics.lpips import Lpips
 from nvsf_core.metrics.measure import Measure, absent
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
@@ -209,7 +209,11 @@ def masked_image_regions(
 
     PSNR (peak 1) over the valid pixels of the region, SSIM over the 7x7 windows inside them.
     Shapes as in `image_regions`.
+
+    Raises:
+        ShapeError: The shapes differ, or an array is of another type.
     """
+    require_images(predicted_rgb, truth_rgb, valid)
     predicted, truth = predicted_rgb.astype(np.float64) / 255.0, truth_rgb.astype(np.float64) / 255.0
     found: dict[str, Mapping[str, Measure]] = {}
     for region, mask in ((FOREGROUND, rectangles & valid), (BACKGROUND, ~rectangles & valid)):

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from nvsf_core.errors import ShapeError
 from nvsf_core.metrics.elementwise import rmse, same_shape
 from nvsf_core.metrics.measure import Measure, fault, undefined
 
@@ -22,7 +23,14 @@ def hit_image_metrics(probability: np.ndarray, truth: np.ndarray) -> Mapping[str
     Args:
         probability: Predicted hit probability, any shape.
         truth: Whether there was a return, bool, the same shape.
+
+    Raises:
+        ShapeError: The shapes differ, or the truth is not bool.
     """
+    if truth.dtype != np.bool_:
+        raise ShapeError(
+            f"expected the true hits as bool, found {truth.dtype}; of a range image: range_m > 0"
+        )
     error = rmse(probability, truth.astype(np.float64))
     bad = fault(probability, truth)
     if bad is not None:

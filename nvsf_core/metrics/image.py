@@ -26,11 +26,9 @@ def image_metrics(
     black on both sides for LPIPS, which is absent if `lpips` is None.
 
     Raises:
-        ShapeError: The shapes differ.
+        ShapeError: The shapes differ, or an array is of another type.
     """
-    same_shape(predicted_rgb, truth_rgb)
-    if valid.shape != truth_rgb.shape[:2]:
-        raise ShapeError(f"validity mask {valid.shape} for an image of {truth_rgb.shape[:2]} pixels")
+    require_images(predicted_rgb, truth_rgb, valid)
     n_valid = int(np.count_nonzero(valid))
     if n_valid == 0:
         return dict.fromkeys(NAMES, undefined("the recorded image has no valid pixel"))
@@ -49,9 +47,9 @@ def image_part_metrics(
     """PSNR (peak 1) over the `chosen` (H, W) bool pixels of an image (H, W, 3) uint8; absent without one.
 
     Raises:
-        ShapeError: The shapes differ.
+        ShapeError: The shapes differ, or an array is of another type.
     """
-    same_shape(predicted_rgb, truth_rgb)
+    require_images(predicted_rgb, truth_rgb, chosen)
     if not chosen.any():
         return {"image_psnr_db": absent("the image has no such pixel")}
     predicted, truth = predicted_rgb[chosen] / 255.0, truth_rgb[chosen] / 255.0
@@ -67,11 +65,32 @@ def missing_share(predicted_rgb: np.ndarray, truth_rgb: np.ndarray, valid: np.nd
         valid: (H, W) bool, pixels that the truth covers.
 
     Raises:
-        ShapeError: The shapes differ.
+        ShapeError: The shapes differ, or an array is of another type.
     """
-    same_shape(predicted_rgb, truth_rgb)
+    require_images(predicted_rgb, truth_rgb, valid)
     seen = valid & truth_rgb.any(axis=-1)
     n_seen = int(np.count_nonzero(seen))
     if n_seen == 0:
         return undefined("the true image has no valid pixel that is not black")
     return Measure(float(np.count_nonzero(~predicted_rgb.any(axis=-1) & seen)) / n_seen, n_seen)
+
+
+def require_images(predicted_rgb: np.ndarray, truth_rgb: np.ndarray, mask: np.ndarray) -> None:
+    """Refuse images that are not (H, W, 3) uint8, and a mask of their pixels that is not (H, W) bool.
+
+    Of colours of 0..1 the metrics would be other numbers; a mask of whole numbers would choose by index.
+
+    Raises:
+        ShapeError: One is not so, or the images' shapes differ.
+    """
+    same_shape(predicted_rgb, truth_rgb)
+    for name, image in (("predicted", predicted_rgb), ("true", truth_rgb)):
+        if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
+            raise ShapeError(
+                f"expected the {name} image as (H, W, 3) uint8, found {image.shape} {image.dtype}; multiply "
+                "colours of 0..1 by 255 and round them"
+            )
+    if mask.dtype != np.bool_ or mask.shape != truth_rgb.shape[:2]:
+        raise ShapeError(
+            f"expected a mask {truth_rgb.shape[:2]} bool of the image, found {mask.shape} {mask.dtype}"
+        )

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial import cKDTree
 
+from nvsf_core.errors import ShapeError
 from nvsf_core.metrics.measure import Measure, fault, undefined
 
 F_THRESHOLD_M2 = 0.05
@@ -22,6 +23,9 @@ def point_cloud_metrics(predicted_m: np.ndarray, truth_m: np.ndarray) -> Mapping
     Args:
         predicted_m: (N, 3), in the frame of the truth.
         truth_m: (M, 3).
+
+    Raises:
+        ShapeError: A cloud has another shape.
     """
     everywhere = np.ones(len(predicted_m), bool), np.ones(len(truth_m), bool)
     return point_cloud_part_metrics(predicted_m, truth_m, *everywhere)
@@ -33,7 +37,13 @@ def point_cloud_part_metrics(
     """`point_cloud_metrics` of a part (N,), (M,) bool of two clouds (N, 3), (M, 3).
 
     Neighbours are sought in the whole other cloud.
+
+    Raises:
+        ShapeError: A cloud has another shape.
     """
+    for name, cloud_m in (("predicted", predicted_m), ("true", truth_m)):
+        if cloud_m.ndim != 2 or cloud_m.shape[1] != 3:
+            raise ShapeError(f"expected the {name} cloud as (N, 3) x, y, z in metres, found {cloud_m.shape}")
     sizes = int(np.count_nonzero(in_predicted)), int(np.count_nonzero(in_truth))
     n_points = sum(sizes)
     if 0 in sizes:

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from nvsf_core.errors import ShapeError
 from nvsf_core.metrics.hit import hit_cell_metrics, hit_cells, hit_columns, hit_image_metrics
 
 
@@ -22,6 +23,11 @@ def test_no_hit_on_either_side_has_no_f_score() -> None:
     found = hit_image_metrics(np.zeros(4), np.zeros(4, dtype=bool))
     assert found["hit_accuracy"].value == 1.0
     assert math.isnan(found["hit_f_score"].value)
+
+
+def test_a_range_image_is_no_truth_of_hits() -> None:
+    with pytest.raises(ShapeError, match="true hits as bool, found float64; of a range image: range_m > 0"):
+        hit_image_metrics(np.array([0.9, 0.6]), np.array([12.3, 0.0]))
 
 
 def test_every_cell_is_018_degrees_and_the_seam_stays_inside() -> None:

@@ -1,10 +1,12 @@
 import math
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
 
 from nvsf_core.errors import ShapeError, StoreError
+from nvsf_core.metrics.foreground import masked_image_regions
 from nvsf_core.metrics.image import image_metrics, image_part_metrics, missing_share
 from nvsf_core.metrics.lpips import load_lpips, lpips_measure
 from nvsf_core.metrics.lpips_file import find_weights
@@ -100,3 +102,17 @@ def test_part_metrics_count_the_chosen_pixels_alone_and_are_absent_without_one()
     assert image_part_metrics(shown, truth, right & ~right)["image_psnr_db"].is_absent
     with pytest.raises(ShapeError):
         image_part_metrics(shown[1:], truth, right)
+
+
+def test_colours_from_0_to_1_are_refused_and_not_divided_by_255_again() -> None:
+    half, level = np.full((16, 16, 3), 0.5), np.full((16, 16, 3), 128, np.uint8)
+    mask = np.ones((16, 16), np.bool_)
+    regions = partial(masked_image_regions, rectangles=mask)
+    for measured in (partial(image_metrics, lpips=None), image_part_metrics, missing_share, regions):
+        for predicted, truth, name in ((half, level, "predicted"), (level, half, "true")):
+            with pytest.raises(ShapeError, match=rf"{name} image as \(H, W, 3\) uint8, found .* float64"):
+                measured(predicted, truth, mask)
+        with pytest.raises(ShapeError, match=r"found .*16, 16, 4.* uint8"):
+            measured(np.zeros((16, 16, 4), np.uint8), np.zeros((16, 16, 4), np.uint8), mask)
+        with pytest.raises(ShapeError, match=r"mask .* bool .* found .* uint8"):
+            measured(level, level, mask.astype(np.uint8))

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from nvsf_core.errors import ShapeError
 from nvsf_core.metrics.point_cloud import point_cloud_metrics
 
 
@@ -53,3 +54,11 @@ def test_broken_points_are_counted_not_dropped() -> None:
     found = point_cloud_metrics(np.array([[np.nan, 0, 0], [0, 0, 0]]), np.zeros((1, 3)))
     assert math.isnan(found["chamfer_m2"].value)
     assert "1 of 6" in found["chamfer_m2"].reason
+
+
+@pytest.mark.parametrize("columns", [2, 4])
+def test_rows_with_an_intensity_or_without_a_height_are_refused(columns: int) -> None:
+    right, wrong = np.zeros((5, 3)), np.zeros((5, columns))
+    for p, t in ((wrong, wrong), (wrong, right), (right, wrong)):
+        with pytest.raises(ShapeError, match=rf"cloud as \(N, 3\) .* found \(5, {columns}\)"):
+            point_cloud_metrics(p, t)
