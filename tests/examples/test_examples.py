@@ -35,6 +35,12 @@ def test_the_examples_run_in_their_order(run, tmp_path):
     assert cloud.stat().st_size > 200
     said = run("read_metrics", "tiny", "smoke", "lidar4d_scan")
     assert "chamfer_m2" in said and "reproject" in said and "copy_nearest" in said
+    for recipe, protocol, words in (
+        ("smoke", "nosuch", r"protocol .* lidar4d, lidar4d_scan.*; found 'nosuch'"),
+        ("quick", "lidar4d", r"expected .*quick.*, found .*recipes: smoke; train it first"),
+    ):
+        with pytest.raises(SystemExit, match=words):
+            run("read_metrics", "tiny", recipe, protocol)
 
 
 def test_the_drive_of_plain_files_is_read_its_lasers_are_found_and_its_checks_hold(run, tmp_path):

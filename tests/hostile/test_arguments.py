@@ -13,6 +13,7 @@ from assets.workspace import Workspace
 from nvsf_core.drives.catalogue import SceneEntry, ViewEntry, load_catalogue
 from nvsf_core.errors import (
     CalibrationError,
+    DataError,
     DivergedError,
     MissingLibraryError,
     NvsfError,
@@ -23,7 +24,7 @@ from nvsf_core.geometry.pinhole import Pinhole
 from nvsf_core.metrics import lpips
 from nvsf_core.recipe.presets import preset
 from nvsf_core.rendering.warping import sample
-from nvsf_core.stages import plan_run, run_scene
+from nvsf_core.stages import find_scene, plan_run, run_scene
 from nvsf_core.stages.runner.run import write_demo_where_absent
 from nvsf_core.stores.checkpoints import save_tensors
 from nvsf_core.stores.scene_store import SceneStore
@@ -100,6 +101,12 @@ def test_a_scene_of_ones_own_is_held_to_the_same_rule(street: SceneEntry) -> Non
     for wrong in ({"name": "../x"}, {"sequence": "a/b"}, {"name": "drives"}, {"last_frame": 10**9}):
         with pytest.raises(NvsfError):
             replace(street, **wrong)
+
+
+@pytest.mark.parametrize("name", [3, None, Path("demo")])
+def test_a_scenes_name_is_text(name: Any) -> None:
+    with pytest.raises(DataError, match="expected a scene's name as text, found "):
+        find_scene(name)
 
 
 def test_the_demo_is_never_written_for_somebodys_own_drive(street: SceneEntry, tmp_path: Path) -> None:

@@ -241,8 +241,10 @@ def find_scene(name: str) -> SceneEntry:
     """The catalogue's entry of that name.
 
     Raises:
-        DataError: There is none.
+        DataError: There is none, or the name is no text.
     """
+    if not isinstance(name, str):
+        raise DataError(f"expected a scene's name as text, found {name!r:.60}")
     catalogue = catalogue_from_environment(os.environ)
     for entry in catalogue:
         if entry.name == name:
