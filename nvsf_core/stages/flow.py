@@ -18,7 +18,7 @@ FRAMES = Stage(
     group="ingest",
     inputs=(),
     description="Every frame of the drive: when and where it was taken, and whether it can be used.",
-    version="11",
+    version="12",
     run=_later("frames", "run"),
     reads_drive=True,
 )
@@ -108,7 +108,7 @@ SCENE_METRICS = Stage(
         "the trained field and for the baselines that learn nothing; the same of views whose truth is known; "
         "and of every view what can be said without its truth."
     ),
-    version="17",
+    version="18",
     run=_later("scene_metrics", "run"),
     per_recipe=True,
     reads_truth=True,
@@ -122,7 +122,7 @@ DATASET = Stage(
     inputs=("frames", "evidence", "novel_views", "scene_metrics"),
     description="Versioned synthetic data sets: ray drop and range noise drawn, scans and pictures exported,"
     " with a manifest of what they came from and a card of how wrong they are.",
-    version="15",
+    version="16",
     run=_later("dataset", "run"),
     per_recipe=True,
     per_draw=True,
