@@ -212,10 +212,11 @@ def choose_copied_share(lidar: LidarRecording) -> tuple[LidarRecording, dict[str
     """The recording with the `copied_share` that suits the validation scans best, and the scores of all.
 
     A ray that passes between all that was recorded leaves a hole where a surface goes on, and is right where
-    it ends: that differs from drive to drive. Without validation scans only what all scans say is copied.
+    it ends: that differs from drive to drive. Without validation scans, or known lasers, only what all scans
+    say is copied.
     """
     left_out = lidar.evidence.left_out
-    if left_out is None:
+    if left_out is None or len(lidar.evidence.lasers) == 0:
         return lidar, {}
     shares = {"all": ALL, "most": MOST, "never": NEVER}
     recordings = {

@@ -100,7 +100,9 @@ def trained_and_shown(run: SceneRun, work: Path) -> tuple[list[float], np.ndarra
     session, recording = StageSession(task, work), read_recording(run.store)
     trained = train_scene(WHOLE, recording, session)
     assert all(value.device.type == "cpu" for value in trained.tensors.values())
-    # These train and render whether or not `choose` would use them.
+    # These train and render whether or not `choose` would use them, and from the start.
+    session = StageSession(task, work / "apart")
+    session.work.mkdir()
     fields = make_fields(WHOLE, recording, 0)
     assert fields.lidar and fields.hits and fields.pano and recording.lidar
     hits = train_hits(session, fields.hits, fields.lidar, WHOLE, recording.lidar)
