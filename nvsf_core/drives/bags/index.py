@@ -93,6 +93,7 @@ def open_bag(path: Path) -> Iterator[Any]:
         MissingLibraryError: The package rosbags is not installed.
         DataError: It is no bag, damaged, packed file by file, or the machine cannot read it.
     """
+    _require_files(path)
     _require_unpacked(path)
     try:
         highlevel = importlib.import_module("rosbags.highlevel")
@@ -120,6 +121,17 @@ def open_bag(path: Path) -> Iterator[Any]:
         yield reader
     finally:
         reader.close()
+
+
+def _require_files(path: Path) -> None:
+    """Refuse a pipe or a device, of which a read may not end: the library opens what a bag's folder holds.
+
+    Raises:
+        DataError: There is one; the message names it.
+    """
+    for one in sorted(path.iterdir()) if path.is_dir() else [path]:
+        if one.exists() and not one.is_file() and not one.is_dir():
+            raise DataError(f"{one}: expected a regular file, found a pipe or a device; copy the bag again")
 
 
 def _require_unpacked(path: Path) -> None:

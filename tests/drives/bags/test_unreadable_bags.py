@@ -1,6 +1,7 @@
 """A bag that cannot be read says why, and what to do: packed files, a machine's limits, damage."""
 
 import errno
+import os
 import shlex
 import subprocess
 import sys
@@ -30,3 +31,12 @@ def test_a_full_disk_is_no_damaged_bag(tmp_path: Path) -> None:
     assert "No space left on device" in str(full) and "copy it again" not in str(full)
     damaged = read_fault(tmp_path, OSError(errno.EINVAL, "Invalid argument"), "copy it again")
     assert "copy it again" in str(damaged)
+
+
+def test_a_pipe_in_a_bag_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", moving_lidar(), is_mcap=True)
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(DataError, match=f"{file.name}: expected a regular file"):
+        whole_drive(tmp_path / "bag", "bag")
