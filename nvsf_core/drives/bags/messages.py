@@ -61,13 +61,11 @@ def cloud_columns(message: Any, where: str) -> dict[str, np.ndarray]:
             {"names": names, "formats": kinds, "offsets": offsets, "itemsize": message.point_step}
         )
         # Rows may be padded.
-        rows = [
-            np.frombuffer(data, kind, message.width, row * message.row_step) for row in range(message.height)
-        ]
+        steps = (message.row_step, message.point_step)
+        points = np.ndarray((message.height, message.width), kind, data, 0, steps).reshape(-1)
     except ValueError as error:
         raise DataError(f"{where}: a point cloud whose fields do not fit its bytes ({error})") from error
-    points = np.concatenate(rows) if rows else np.zeros(0, kind)
-    if not {"x", "y", "z"} <= set(names) or len(points) != count:
+    if not {"x", "y", "z"} <= set(names):
         raise DataError(f"{where}: expected x, y, z of each point, found {', '.join(names)!s:.200}")
     points = points[np.isfinite(np.stack([points[name] for name in "xyz"])).all(axis=0)]
     found = {name: points[name] for name in "xyz"}

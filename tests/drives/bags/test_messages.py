@@ -15,8 +15,8 @@ POINTS = np.arange(12, dtype="<f4").reshape(4, 3)
 
 def _cloud(**changed: Any) -> SimpleNamespace:
     fields = [SimpleNamespace(name=name, datatype=7, count=1, offset=4 * k) for k, name in enumerate("xyz")]
-    facts = {"width": 2, "height": 2, "point_step": 12, "row_step": 24} | changed
-    return SimpleNamespace(fields=fields, is_bigendian=False, data=POINTS.view(np.uint8).ravel(), **facts)
+    facts = {"width": 2, "height": 2, "point_step": 12, "row_step": 24, "data": POINTS.view(np.uint8).ravel()}
+    return SimpleNamespace(fields=fields, is_bigendian=False, **(facts | changed))
 
 
 def _image(height: int, width: int, step: int) -> SimpleNamespace:
@@ -44,6 +44,18 @@ def test_rows_of_points_are_read_one_after_the_other(shape: dict[str, int]) -> N
 def test_a_cloud_of_more_points_than_bytes_is_refused(changed: dict[str, int]) -> None:
     with pytest.raises(DataError, match=r"/points: expected .* points of .* bytes, found 48 bytes"):
         cloud_columns(_cloud(**changed), "/points")
+
+
+def test_four_billion_rows_without_points_are_an_empty_cloud() -> None:
+    found = cloud_columns(_cloud(height=2**32 - 1, width=0, row_step=0), "/points")
+    assert [len(found[name]) for name in "xyz"] == [0, 0, 0]
+
+
+def test_rows_may_be_padded() -> None:
+    padded = np.zeros((2, 40), np.uint8)
+    padded[:, :24] = POINTS.view(np.uint8).reshape(2, 24)
+    found = cloud_columns(_cloud(row_step=40, data=padded.ravel()), "/points")
+    assert np.array_equal(np.stack([found[name] for name in "xyz"], axis=1), POINTS)
 
 
 @pytest.mark.parametrize(("height", "width", "step"), [(0, 4, 12), (3, 0, 12), (3, 5, 12)])
