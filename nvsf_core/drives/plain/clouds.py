@@ -51,7 +51,9 @@ def read_ply(path: Path, data: bytes) -> dict[str, np.ndarray]:
             order = _PLY_FORMATS.get(words[1], "?")
         elif words[:1] == ["element"] and len(words) == 3:
             elements += 1
-            if elements == 1 and words[1] == "vertex" and words[2].isdecimal():
+            # Python refuses to read thousands of digits by an error of its own.
+            is_count = words[2].isdecimal() and len(words[2]) < 12
+            if elements == 1 and words[1] == "vertex" and is_count:
                 count = int(words[2])
         elif words[:1] == ["property"] and elements == 1:
             if len(words) != 3 or words[1] not in _PLY_TYPES:

@@ -98,6 +98,7 @@ def test_columns_of_text_have_the_types_that_the_header_says():
             b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\nend_header\nab",
         ),
         (read_ply, b"not a ply"),
+        (read_ply, b"ply\nformat ascii 1.0\nelement vertex " + b"9" * 5000 + b"\nend_header\n"),
         (read_pcd, _pcd("binary", b"short")),
         (read_pcd, _pcd("binary_compressed", b"\x01\0\0\0\x45\0\0\0\xff")),
         (read_pcd, b"FIELDS x\n"),
