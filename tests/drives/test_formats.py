@@ -309,6 +309,8 @@ def test_bad_frames_of_a_plain_drive_are_named_one_by_one_and_left_out(plain, tm
         ("frames.csv", "frame,time_s\n0,0\n1,0\n", r"frames\.csv: expected ascending times"),
         ("frames.csv", "frame,time_s\n0,0\n0,1\n", r"expected each frame once, found 0"),
         ("drive.json", '{"lidar": "HDL-65"}', r"drive\.json: lidar: expected 'found' or one of HDL-64E"),
+        ("drive.json", '{"lidar": ["found"]}', r"drive\.json: lidar: expected 'found' or one of HDL-64E"),
+        ("drive.json", f'{{"lidar_to_pose": [{"9" * 400}]}}', r"drive\.json: lidar_to_pose: .* 4 x 4 matrix"),
         ("cameras.json", '{"image_00": {"model": "box"}}', r"image_00: model: expected one of pinhole"),
         ("cameras.json", "{", r"cameras\.json: expected JSON"),
         ("cameras.json", '{"image_00": {}, "image_00": {}}', r"each key once, found 'image_00' again"),

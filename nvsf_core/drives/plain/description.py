@@ -65,7 +65,7 @@ def read_description(path: Path) -> Description:
     if unknown:
         raise CalibrationError(f"{path}: expected {', '.join(_DRIVE_KEYS)}, found {unknown[0]!r:.60}")
     lidar = raw.get("lidar", _FOUND)
-    if lidar != _FOUND and lidar not in SENSOR_TABLES:
+    if not isinstance(lidar, str) or (lidar != _FOUND and lidar not in SENSOR_TABLES):
         raise CalibrationError(
             f"{path}: lidar: expected {_FOUND!r} or one of {', '.join(SENSOR_TABLES)}, found {lidar!r:.60}"
         )
@@ -170,5 +170,5 @@ def _mounting(raw: Mapping[str, Any], key: str, where: str, default: np.ndarray 
         if len(found) == 16 and np.abs(found[12:] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
             raise ValueError(f"expected the last row 0 0 0 1, found {found[12:].tolist()}")
         return rigid(found[:12], _LONGEST_ARM_M)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise CalibrationError(f"{where}: {key}: {error}; give a 4 x 4 matrix row by row") from error
