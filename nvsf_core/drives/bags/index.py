@@ -13,12 +13,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from nvsf_core.drives.bags.definitions import bound_definitions, require_possible
 from nvsf_core.drives.bags.messages import (
     CAMERA_INFO,
     IMAGES,
+    KINDS,
     ODOMETRY,
     POINT_CLOUD,
-    TRANSFORMS,
     encoding_fault,
     stamp_s,
     tells_lasers,
@@ -31,7 +32,8 @@ from nvsf_core.errors import DataError, MissingLibraryError
 _FOREVER = "/tf_static"
 _PACKED = re.compile(r"""^\s*compression_mode:\s*["']?file\b""", re.IGNORECASE | re.MULTILINE)
 """In `metadata.yaml`: its files are packed whole, and not each message."""
-_MOST_METADATA_BYTES = 16 * MIB
+_MOST_METADATA_BYTES = MIB
+"""Of a bag of thousands of files; YAML is read slowly, a megabyte in half a minute."""
 
 
 @dataclass(slots=True)
@@ -99,6 +101,7 @@ def open_bag(path: Path) -> Iterator[Any]:
         highlevel = importlib.import_module("rosbags.highlevel")
         typesys = importlib.import_module("rosbags.typesys")
         bound_unpacking()
+        bound_definitions()
     except ImportError as error:
         raise MissingLibraryError(
             "bags are read by the package rosbags: pip install 'nvsf[rosbags]'"
@@ -118,6 +121,7 @@ def open_bag(path: Path) -> Iterator[Any]:
         damaged = f"cannot be read as a bag ({error!s:.200}); copy it again"
         raise read_fault(path, error, damaged) from error
     try:
+        require_possible(str(path), KINDS, reader.typestore.fielddefs)
         yield reader
     finally:
         reader.close()
@@ -183,10 +187,7 @@ def index_of(path: Path) -> BagIndex:
 def _index(path: Path, _files: tuple[tuple[Path, int, int], ...]) -> BagIndex:
     index = BagIndex(path, tree=TransformTree(path))
     with open_bag(path) as reader:
-        wanted = [
-            one for one in reader.connections
-            if one.msgtype in (POINT_CLOUD, *IMAGES, CAMERA_INFO, *TRANSFORMS, ODOMETRY)
-        ]  # fmt: skip
+        wanted = [one for one in reader.connections if one.msgtype in KINDS]
         try:
             for connection, kept_ns, raw in reader.messages(connections=wanted) if wanted else ():
                 _take(index, reader, connection, kept_ns, raw)

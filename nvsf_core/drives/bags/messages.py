@@ -12,6 +12,8 @@ IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 ODOMETRY = "nav_msgs/msg/Odometry"
+KINDS = (POINT_CLOUD, *IMAGES, CAMERA_INFO, *TRANSFORMS, ODOMETRY)
+"""Of messages that are read."""
 _FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _TIMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "time_offset")
 _RINGS = ("ring", "channel", "line", "row")
