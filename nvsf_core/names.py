@@ -1,6 +1,7 @@
-"""Which names may become part of a path: of scenes, views, recipes, sequences and labels."""
+"""Which names may become part of a path (scenes, views, recipes, sequences, labels), and how any is shown."""
 
 import re
+import unicodedata
 
 LONGEST_NAME = 100
 """Characters. A file system takes 255 bytes; a folder that is being written adds 40 to its name."""
@@ -35,3 +36,15 @@ def name_fault(name: object, reserved: tuple[str, ...] = ()) -> str | None:
     if name in reserved:
         return f"{name!r} is reserved ({', '.join(reserved)}); choose another name"
     return None
+
+
+def printable(line: object) -> str:
+    r"""One line, with what is not printable escaped as Python does it: ESC as `\x1b`, a new line as `\n`.
+
+    A terminal obeys such characters, and names and words of drives may be made to do harm. Halves of
+    surrogate pairs, as names that are no UTF-8 have them, no stream can write.
+    """
+    return "".join(
+        one if one.isprintable() or unicodedata.category(one) == "Zs" else ascii(one)[1:-1]
+        for one in str(line)
+    )

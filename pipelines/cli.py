@@ -7,6 +7,7 @@ import sys
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import click
 
 from nvsf_core.drives.entries import ViewEntry
 from nvsf_core.errors import DataError, NvsfError
+from nvsf_core.names import printable
 
 # What an argument says wins; else the variable that `make` and Dagster read, too; else the default.
 _recipe_option = click.option(
@@ -52,14 +54,19 @@ class _Ours(click.Group):
         try:
             return super().invoke(ctx)
         except NvsfError as error:
-            raise click.ClickException(str(error)) from error
+            raise click.ClickException(printable(error)) from error
         except PermissionError as error:
-            raise click.ClickException(_no_permission(error)) from error
+            raise click.ClickException(printable(_no_permission(error))) from error
 
 
 def _no_permission(error: PermissionError) -> str:
     """What may not be read or written, and what to do."""
     return f"cannot use {error.filename} ({error.strerror}); correct its owner or permissions"
+
+
+def _say(line: object, *, err: bool = False) -> None:
+    """Write a line; all words that stem from drives and catalogues go this way to the terminal."""
+    click.echo(printable(line), err=err)
 
 
 @click.group(cls=_Ours, context_settings={"help_option_names": ["-h", "--help"]})
@@ -124,11 +131,11 @@ def view(
     asked = _keys(keys)
     if check:
         for line in _checked(scene, view_of(asked) if asked else None):
-            click.echo(line)
+            _say(line)
         return
     scene, trained = _chosen(scene, recipe or None, seed)
     if asked:
-        click.echo(render_view(scene, asked, out=out, **trained))
+        _say(render_view(scene, asked, out=out, **trained))
         return
     if out is not None:
         raise click.UsageError("--out is for the view that KEYS ask for; the catalogue's lie under NVSF_HOME")
@@ -136,7 +143,7 @@ def view(
     outcomes = {one.stage: one for one in run_scene(entry, **trained)}
     for name in ("test", *(one.name for one in entry.views)):
         folder = outcomes["novel_views"].path / name
-        click.echo(f"{name}: {folder}" if folder.is_dir() else f"{name}: not rendered")
+        _say(f"{name}: {folder}" if folder.is_dir() else f"{name}: not rendered")
 
 
 def _chosen(scene: str | None, recipe: str | None, seed: int | None) -> tuple[str, dict[str, Any]]:
@@ -152,7 +159,7 @@ def _chosen(scene: str | None, recipe: str | None, seed: int | None) -> tuple[st
     if newest is None:
         return name, {"recipe": recipe, "seed": seed or 0}
     if (scene, recipe, seed) != (name, *newest):
-        click.echo(f"of {name}, recipe {newest[0]}, seed {newest[1]}, its newest field", err=True)
+        _say(f"of {name}, recipe {newest[0]}, seed {newest[1]}, its newest field", err=True)
     return name, {"recipe": newest[0], "seed": newest[1]}
 
 
@@ -241,9 +248,9 @@ def import_(
     scene = replace(scene, name=name, rectified=rectified, sweep_period_s=sweep_period)
     done = import_drive(scene, out, layout=layout, progress=sparse(say_on_stderr))
     for line in (*done.left_out, *done.notes):
-        click.echo(line)
+        _say(line)
     catalogue = shlex.quote(str(done.folder.absolute() / "scenes.toml"))
-    click.echo(
+    _say(
         f"{done.folder}: {done.scans} scans, {done.images} images, {done.frames} poses of frames "
         f"{scene.first_frame} to {scene.last_frame}; {len(done.left_out)} left out, named in import.json; "
         f"export NVSF_SCENES={catalogue}"
@@ -275,13 +282,13 @@ def join(scene: str, view: str, out: Path, recipe: str | None, seed: int) -> Non
     parts = parts_of(scene, catalogue_from_environment(os.environ))
     home = home_from_environment(os.environ)
     names = [part.name for part, _ in parts]
-    with reading_versions(home, names, lambda line: click.echo(line, err=True)):
+    with reading_versions(home, names, partial(_say, err=True)):
         # Of a view that the catalogue has no more, all parts are asked.
         asked = [part.name for part, _ in parts if asks_for(part, view)] or names
         folders = [
             newest_data_set(home, name, view, recipe, seed) if name in asked else None for name in names
         ]
-        click.echo(join_data_sets(scene, parts, folders, out))
+        _say(join_data_sets(scene, parts, folders, out))
 
 
 @main.command()
@@ -290,7 +297,7 @@ def report() -> None:
     from assets.report import write_benchmark_report
     from nvsf_core.drives.catalogue import home_from_environment
 
-    click.echo(write_benchmark_report(home_from_environment(os.environ)))
+    _say(write_benchmark_report(home_from_environment(os.environ)))
 
 
 @main.command()
@@ -316,7 +323,7 @@ def scenes() -> None:
             there = str(error)
         except PermissionError as error:
             there = _no_permission(error)
-        click.echo(f"{entry.name:32} frames {entry.first_frame} to {entry.last_frame}: {there}")
+        _say(f"{entry.name:32} frames {entry.first_frame} to {entry.last_frame}: {there}")
 
 
 @main.command()
@@ -334,7 +341,7 @@ def verify(names: Sequence[str], mend: bool) -> None:
     """
     from pipelines.verify import verify_scenes
 
-    sys.exit(0 if verify_scenes(names, mend, click.echo) else 1)
+    sys.exit(0 if verify_scenes(names, mend, _say) else 1)
 
 
 @main.command()
@@ -365,7 +372,7 @@ def weights(backbone: Path | None, out: Path | None) -> None:
                 f"{BACKBONE_URL}: {error}; fetch it and name it: --backbone"
             ) from error
     make_lpips_weights(Path(package.origin).parent / HEADS_PLACE, backbone, made)
-    click.echo(f"export {WEIGHTS_VARIABLE}={shlex.quote(str(made.absolute()))}")
+    _say(f"export {WEIGHTS_VARIABLE}={shlex.quote(str(made.absolute()))}")
 
 
 @main.command()
@@ -375,5 +382,5 @@ def doctor() -> None:
 
     findings = examine(os.environ)
     for finding in findings:
-        click.echo(f"{'ok     ' if finding.is_fine else 'MISSING'} {finding.subject}: {finding.words}")
+        _say(f"{'ok     ' if finding.is_fine else 'MISSING'} {finding.subject}: {finding.words}")
     sys.exit(1 if any(finding.is_needed and not finding.is_fine for finding in findings) else 0)

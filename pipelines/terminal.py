@@ -11,6 +11,7 @@ from typing import TextIO
 import dagster as dg
 
 from assets.json_lines import FILE_VARIABLE, TERSE, JsonLines
+from nvsf_core.names import printable
 
 TERSE_LOGGING = {"loggers": {TERSE: {"config": {}}}}
 """Run configuration that chooses this logger; without it a job has Dagster's own."""
@@ -22,15 +23,16 @@ class _TerseFormatter(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         clock = time.strftime("%H:%M:%S", time.localtime(record.created))
         meta = getattr(record, "dagster_meta", None) or {}
-        message = str(meta["orig_message"]) if "orig_message" in meta else record.getMessage()
+        lines = [str(meta["orig_message"]) if "orig_message" in meta else record.getMessage()]
         if record.exc_info:
-            message = f"{message}\n{self.formatException(record.exc_info)}"
+            lines += self.formatException(record.exc_info).split("\n")
         event = meta.get("dagster_event")
         error = getattr(getattr(event, "event_specific_data", None), "error", None)
         if error is not None:
             # RUN_FAILURE repeats the message of STEP_FAILURE.
             told = event.is_run_failure or error.cls_name == "Failure"
-            message = f"{message}\n{error.message if told else error.to_string()}".rstrip()
+            lines += (error.message if told else error.to_string()).split("\n")
+        message = "\n".join(map(printable, lines)).rstrip()
         return f"{clock} {message}" if record.levelno < logging.ERROR else f"{clock} ERROR {message}"
 
 

@@ -29,6 +29,7 @@ from assets.verdicts import reason_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.drive import has_data, why_no_data
 from nvsf_core.errors import NvsfError, StageKilledError
+from nvsf_core.names import printable
 from nvsf_core.stages import STAGES, Stage, find_scene
 from nvsf_core.stages.flow import SCENE_METRICS
 from nvsf_core.stages.runner.failures import remember_failure
@@ -207,7 +208,7 @@ def report_all(
     shown = [scene for scene in measured if scene not in failures]
     words += next_view(workspace.plan(shown[0])) if shown else []
     words += next_ui(context.run_id) if _is_of_terminal(context) else []
-    sys.stdout.write("\n".join([*words, ""]))
+    sys.stdout.write("\n".join([*map(printable, words), ""]))
     sys.stdout.flush()
     return [f"{scene}: {reason}" for scene, reason in failures.items()]
 

@@ -311,6 +311,7 @@ def test_bad_frames_of_a_plain_drive_are_named_one_by_one_and_left_out(plain, tm
         ("drive.json", '{"lidar": "HDL-65"}', r"drive\.json: lidar: expected 'found' or one of HDL-64E"),
         ("drive.json", '{"lidar": ["found"]}', r"drive\.json: lidar: expected 'found' or one of HDL-64E"),
         ("drive.json", f'{{"lidar_to_pose": [{"9" * 400}]}}', r"drive\.json: lidar_to_pose: .* 4 x 4 matrix"),
+        ("drive.json", '{"times_assumed": "no\\ud800"}', r"times_assumed: expected why, in a line"),
         ("cameras.json", '{"image_00": {"model": "box"}}', r"image_00: model: expected one of pinhole"),
         ("cameras.json", "{", r"cameras\.json: expected JSON"),
         ("cameras.json", '{"image_00": {}, "image_00": {}}', r"each key once, found 'image_00' again"),

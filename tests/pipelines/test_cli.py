@@ -205,6 +205,18 @@ def test_a_recording_is_imported_and_what_is_left_out_is_named(ask, tiny_catalog
     assert nothing.exit_code == 1 and "found nothing" in nothing.output
 
 
+def test_names_in_a_drive_neither_steer_the_terminal_nor_make_lines_of_their_own(ask, tmp_path):
+    write_demo(tmp_path / "demo", size=DemoSize.tiny())
+    assert ask("import", str(tmp_path / "demo"), "--out", str(tmp_path / "plain")).exit_code == 0
+    camera = tmp_path / "plain/images/\x1b]0;pwned\x07\nError: all is lost"
+    shutil.copytree(tmp_path / "plain/images/image_00", camera)
+    done = ask("import", str(tmp_path / "plain"), "--out", str(tmp_path / "again"))
+    assert done.exit_code == 0 and "\x1b" not in done.output, done.output
+    assert r"\x1b]0;pwned\x07\nError: all is lost left out: no entry in cameras.json" in done.output
+    nowhere = ask("import", str(tmp_path / "no\x1b[2Jwhere"), "--out", str(tmp_path / "other"))
+    assert nowhere.exit_code == 1 and r"no\x1b[2Jwhere: expected a recording" in nowhere.output
+
+
 def test_what_an_import_says_to_set_is_taken_by_a_shell_whatever_the_folder_s_name(ask, tmp_path):
     write_demo(tmp_path / "drive", size=DemoSize.tiny())
     out = tmp_path / "my first drive"

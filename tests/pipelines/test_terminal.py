@@ -3,7 +3,9 @@
 import io
 import logging
 
-from pipelines.terminal import ProgressHandler, with_bar
+import dagster as dg
+
+from pipelines.terminal import ProgressHandler, terse_logger, with_bar
 
 
 class Terminal(io.StringIO):
@@ -52,3 +54,12 @@ def test_a_terminal_that_is_gone_stops_nothing(monkeypatch):
 def test_a_line_that_counts_nothing_has_no_bar():
     assert with_bar("[a] mesh: started") == "[a] mesh: started"
     assert with_bar("[a] x: 16 of 16 frames") == "[a] x: [########] 16 of 16 frames"
+
+
+def test_a_drive_s_words_neither_steer_a_terminal_nor_make_lines_of_their_own(monkeypatch):
+    stream = io.StringIO()
+    monkeypatch.setattr("sys.stderr", stream)
+    logger = terse_logger(dg.build_init_logger_context())
+    logger.warning("camera \x1b]0;pwned\x07\nERROR all is lost left out")
+    assert stream.getvalue().count("\n") == 1
+    assert r"camera \x1b]0;pwned\x07\nERROR all is lost left out" in stream.getvalue()

@@ -15,6 +15,7 @@ from nvsf_core.drives.kitti360.text import read_calibration_text, rigid
 from nvsf_core.drives.lenses import Lens, lens_of
 from nvsf_core.drives.view_parts import CAMERA_NAME
 from nvsf_core.errors import CalibrationError
+from nvsf_core.names import printable
 from nvsf_core.sensors.tables import SENSOR_TABLES
 
 _LONGEST_ARM_M = 100.0
@@ -73,8 +74,8 @@ def read_description(path: Path) -> Description:
     if not is_number(brightest) or not 0.0 < brightest < 1e9:
         raise CalibrationError(f"{path}: intensity_max: expected a number above 0, found {brightest!r:.60}")
     assumed = raw.get("times_assumed", "")
-    if not isinstance(assumed, str):
-        raise CalibrationError(f"{path}: times_assumed: expected why, in words, found {assumed!r:.60}")
+    if not isinstance(assumed, str) or not assumed.isprintable():
+        raise CalibrationError(f"{path}: times_assumed: expected why, in a line, found {assumed!r:.60}")
     origin_s = raw.get("clock_origin_s")
     if origin_s is not None and not (is_number(origin_s) and abs(origin_s) < _LATEST_S):
         raise CalibrationError(
@@ -114,8 +115,8 @@ def read_cameras(
         if name not in present or name not in raw:
             what = "no images" if name not in present else f"no entry in {path.name}"
             raise CalibrationError(f"{path.parent}: camera {name} was asked for, but has {what}; add it")
-    notes = [f"{name} left out: no entry in {path.name}" for name in present if name not in raw]
-    notes += [f"{name} left out: no images of it" for name in raw if name not in present]
+    notes = [f"{printable(name)} left out: no entry in {path.name}" for name in present if name not in raw]
+    notes += [f"{printable(name)} left out: no images of it" for name in raw if name not in present]
     names = [name for name in present if name in raw] if wanted is None else list(wanted)
     cameras, lenses = {}, {}
     for name in names:

@@ -16,6 +16,7 @@ from nvsf_core.drives.kitti360.writer import write_image, write_text
 from nvsf_core.drives.plain.layout import PlainLayout
 from nvsf_core.geometry.fisheye import MeiFisheye
 from nvsf_core.geometry.pinhole import Pinhole
+from nvsf_core.names import printable
 
 
 def write_description(
@@ -36,7 +37,7 @@ def write_description(
     """
     clock: dict[str, Any] = {}
     if times is not None and times.is_assumed:
-        clock["times_assumed"] = times.source
+        clock["times_assumed"] = printable(times.source)
     if times is not None and times.origin_s is not None:
         clock["clock_origin_s"] = round(times.origin_s, 6)
     if boxes_after_s:

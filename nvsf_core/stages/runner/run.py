@@ -15,6 +15,7 @@ from nvsf_core.drives.view_checks import require_views
 from nvsf_core.drives.view_truth import require_truth
 from nvsf_core.errors import DataError, NvsfError, StoreError
 from nvsf_core.metrics.lpips_file import find_weights
+from nvsf_core.names import printable
 from nvsf_core.recipe.base import Recipe
 from nvsf_core.recipe.presets import preset
 from nvsf_core.stages.flow import STAGES
@@ -287,7 +288,7 @@ def write_demo_where_absent(scene: SceneEntry, progress: Progress) -> None:
 
 def say_on_stderr(line: str, /) -> None:
     """Write a progress line to standard error."""
-    sys.stderr.write(line + "\n")
+    sys.stderr.write(printable(line) + "\n")
     sys.stderr.flush()
 
 
