@@ -187,7 +187,7 @@ def _markdown(card: Mapping[str, Any]) -> str:
         "",
         f"**From what.** {source['files']} recorded files of `{source['recording']}`, scene "
         f"`{source['scene']}`; the manifest has the checksum of each. Licence of the recording: "
-        f"{source['licence']}.",
+        f"{_inert(source['licence'])}.",
         "",
         f"**Made by.** {made['model']}: recipe `{made['recipe']}` ({made['recipe_identity'][:12]}), seed "
         f"{made['seed']}, seed of what is sampled {made['draw_seed']}; nvsf {made['version']}, commit "
@@ -213,6 +213,12 @@ def _markdown(card: Mapping[str, Any]) -> str:
         lines += ["", "## Compared with the recording", ""]
         lines += [f"- {one['sensor']}: **{one['verdict']}**. {one['why']}" for one in card["trust"]]
     return "\n".join(lines) + "\n"
+
+
+def _inert(words: str) -> str:
+    """Words of the catalogue, of which no Markdown makes HTML, a link or a table."""
+    # As HTML's entities: not every Markdown takes a backslash before `<`.
+    return words.replace("<", "&lt;").replace("[", "&#91;").replace("|", "&#124;")
 
 
 def _camera_words(names: Mapping[str, Mapping[str, str | None]]) -> str:

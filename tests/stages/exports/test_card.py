@@ -122,3 +122,11 @@ def test_no_number_on_a_card_is_nan(tmp_path: Path) -> None:
     card, _ = _written(tmp_path, _manifest(field_metrics=rows))
     assert all(one["value"] is None for one in card["errors"])
     assert [one["verdict"] for one in card["trust"]] == ["not known"]
+
+
+def test_a_licence_is_words_and_no_markup(tmp_path: Path) -> None:
+    licence = "<script>alert(1)</script> [x](javascript:alert(1)) | a & b"
+    card, text = _written(tmp_path, _manifest(licence=licence))
+    assert card["source"]["licence"] == licence
+    assert "<script" not in text and "[x]" not in text
+    assert "&lt;script>alert(1)&lt;/script> &#91;x](javascript:alert(1)) &#124; a & b." in text
