@@ -7,11 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from nvsf_core.drives.kitti360.scans import MOST_RETURNS
 from nvsf_core.errors import DataError
 
 Columns = Mapping[str, np.ndarray]
 _MOST_POINTS, _MOST_BYTES = 4_000_000, 256
 """Of a file, and of one of its points."""
+MOST_FILE_BYTES = _MOST_BYTES * MOST_RETURNS
+"""Of a file, and of what a packed one becomes."""
 _LONGEST_LINE = 65_536
 _PLY_TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -167,6 +170,11 @@ def _compressed(
     """Columns of the storage `binary_compressed`: one field after the other, packed by LZF."""
     packed, whole = (int(one) for one in np.frombuffer(body[:8].ljust(8, b"\0"), "<u4"))
     expected = count * sum(np.dtype(kind).itemsize * n[0] for _, kind, n in fields)
+    if expected > MOST_FILE_BYTES:
+        raise DataError(
+            f"{path}: expected at most {MOST_FILE_BYTES:,} bytes of points, found {expected:,} packed ones; "
+            "leave out fields that are not needed"
+        )
     if whole != expected or len(body) < 8 + packed:
         raise DataError(f"{path}: expected {expected} bytes of points, found {whole}; copy it again")
     data = _lzf(path, body[8 : 8 + packed], whole)
@@ -198,8 +206,9 @@ def _lzf(path: Path, packed: bytes, size: int) -> bytes:
             k += 1
             if start < 0 or len(out) > size:
                 raise IndexError
-            for at in range(start, start + length + 2):
-                out.append(out[at])
+            # It may reach into what it makes: then it repeats itself.
+            seen = out[start : start + length + 2]
+            out += (seen * (length // len(seen) + 2))[: length + 2]
     except IndexError as error:
         raise DataError(f"{path}: its packed points are damaged; copy it again") from error
     if len(out) != size:

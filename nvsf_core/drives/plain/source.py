@@ -25,7 +25,7 @@ from nvsf_core.drives.kitti360.scans import (
 from nvsf_core.drives.kitti360.text import read_bytes
 from nvsf_core.drives.lenses import Lens
 from nvsf_core.drives.plain.box_table import read_box_table
-from nvsf_core.drives.plain.clouds import Columns, read_bin, read_pcd, read_ply
+from nvsf_core.drives.plain.clouds import MOST_FILE_BYTES, Columns, read_bin, read_pcd, read_ply
 from nvsf_core.drives.plain.description import Description, read_cameras, read_description, read_json
 from nvsf_core.drives.plain.layout import IMAGE_KINDS, SCAN_KINDS, PlainLayout, numbered_files
 from nvsf_core.drives.plain.tables import read_pose_table, read_times
@@ -40,8 +40,6 @@ from nvsf_core.drives.unread import (
 )
 from nvsf_core.errors import DataError
 
-_MOST_POINT_BYTES = 256
-"""Most bytes of a point in a file of any kind."""
 _TIME_NAMES = ("time", "t", "timestamp", "time_offset")
 _SAME_TIME_S = 1e-3
 """Times of a frame in two tables differ by their digits; 1 ms is 3 cm at 30 m/s."""
@@ -225,7 +223,7 @@ class PlainDrive(AbstractPosedDrive):
         path = self._scans.get(frame)
         if path is None:
             return None
-        data = read_bytes(path, _MOST_POINT_BYTES * MOST_RETURNS, "scan")
+        data = read_bytes(path, MOST_FILE_BYTES, "scan")
         beside = {name: files[frame] for name, files in self._beside.items() if frame in files}
         return Recorded(path, data, read_columns(beside))
 

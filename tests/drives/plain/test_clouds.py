@@ -117,3 +117,28 @@ def test_a_point_without_numbers_or_with_millions_of_them_is_refused():
         wide = _pcd(data, b"1 2 3\n").replace(b"COUNT 1 1 1 1 1 3", b"COUNT 1 1 1 1 1 500000000")
         with pytest.raises(DataError, match="expected 1 to 256 bytes a point"):
             read_pcd(PLACE, wide)
+
+
+def test_a_packed_pcd_becomes_no_more_than_a_file_may_have():
+    head = (
+        "FIELDS x y z e\nSIZE 4 4 4 8\nTYPE F F F F\nCOUNT 1 1 1 29\nPOINTS 4000000\nDATA binary_compressed\n"
+    )
+    size = 4_000_000 * 244
+    packed = b"\x00\x00" + b"\xe0\xff\x00" * (size // 264)
+    data = head.encode() + np.array([len(packed), size], "<u4").tobytes() + packed
+    with pytest.raises(DataError, match="expected at most 268,435,456 bytes of points, found 976,000,000"):
+        read_pcd(PLACE, data)
+
+
+@pytest.mark.parametrize("offset", [1, 3, 8, 40])
+def test_a_reference_into_what_it_makes_repeats_it(offset):
+    """LZF's own rule: byte by byte, each from `offset` bytes before."""
+    start = bytes(range(1, 33)) + bytes(range(101, 117))
+    whole = bytearray(start)
+    for _ in range(24):
+        whole.append(whole[-offset])
+    packed = b"\x1f" + start[:32] + b"\x0f" + start[32:] + bytes([7 << 5, 24 - 9, offset - 1])
+    head = "FIELDS x y z\nSIZE 4 4 4\nTYPE U U U\nPOINTS 6\nDATA binary_compressed\n"
+    data = head.encode() + np.array([len(packed), len(whole)], "<u4").tobytes() + packed
+    found = read_pcd(PLACE, data)
+    assert b"".join(found[name].tobytes() for name in "xyz") == bytes(whole)
