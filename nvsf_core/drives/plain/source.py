@@ -16,7 +16,6 @@ from nvsf_core.drives.kitti360.images import decode_picture, read_image_bytes
 from nvsf_core.drives.kitti360.scans import (
     COLUMNS,
     MAX_ABSURD_SHARE,
-    MOST_RETURNS,
     Scan,
     parse_columns,
     read_columns,
