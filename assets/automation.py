@@ -12,6 +12,8 @@ KEPT_TAGS = {KEPT: "kept"}
 _SAMPLES = "nvsf/samples"
 """Tag of a run whose data sets are sampled with a seed of its own, if it names none."""
 SAMPLES_TAGS = {_SAMPLES: "own"}
+CATALOGUE_TAGS = {"nvsf/failed_for": "catalogue"}
+"""Of a run that failed because the catalogue could not be read: no fault of the scene's."""
 
 _Condition = dg.AutomationCondition
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import dagster as dg
 
-from assets.automation import KEPT, follows_its_scene, seed_of_samples
+from assets.automation import CATALOGUE_TAGS, KEPT, follows_its_scene, seed_of_samples
 from assets.drives import ASKED_VIEWS, DRIVE
 from assets.json_lines import log_as_json
 from assets.metadata import outcome_metadata
@@ -14,7 +14,7 @@ from assets.scenes import DATA_VERSION, OWNERS, SCENES, key_of
 from assets.schema import schema_metadata
 from assets.verdicts import check_specs, evaluations, failed_verdicts, reason_of, verdicts
 from assets.workspace import Workspace
-from nvsf_core.errors import NvsfError
+from nvsf_core.errors import CatalogueError, NvsfError
 from nvsf_core.stages import STAGES, Outcome, Stage
 
 _AssetEvent = dg.AssetCheckResult | dg.MaterializeResult
@@ -74,6 +74,8 @@ def asset_of(stage: Stage, stages: Sequence[Stage] = STAGES) -> dg.AssetsDefinit
                 draw_seed=seed_of_samples(context.run),
             )  # fmt: skip
         except NvsfError as error:
+            if isinstance(error, CatalogueError):
+                context.instance.add_run_tags(context.run.run_id, CATALOGUE_TAGS)
             # Yielded, not logged: what is logged is lost when the step then fails.
             reason = reason_of(error, stage, scene)
             for verdict in failed_verdicts(stage, scene, error, reason):

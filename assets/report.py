@@ -5,14 +5,15 @@ from pathlib import Path
 
 import dagster as dg
 
-from assets.automation import follows_all_scenes
+from assets.automation import CATALOGUE_TAGS, follows_all_scenes
 from assets.factory import FRESH
 from assets.provenance import made_of
 from assets.scenes import OWNERS, key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.drive import has_data
 from nvsf_core.drives.entries import SceneEntry
-from nvsf_core.errors import NvsfError
+from nvsf_core.errors import CatalogueError, NvsfError
+from nvsf_core.stages.runner.patience import patiently
 
 METRICS_STAGE, DATASET_STAGE, REPORT = "scene_metrics", "dataset", "benchmark_report"
 CURVES = Path(__file__).resolve().parents[1] / "benchmarks" / "results" / "curves"
@@ -30,21 +31,26 @@ CURVES = Path(__file__).resolve().parents[1] / "benchmarks" / "results" / "curve
     description="One offline HTML page over all scenes: tables, range images, camera pairs, loss curves, "
     "speed beside error.",
 )
-def benchmark_report(workspace: Workspace) -> dg.MaterializeResult:
+def benchmark_report(context: dg.AssetExecutionContext, workspace: Workspace) -> dg.MaterializeResult:
     """Make the page from all scenes that have metrics, of any recipe and seed."""
     home = workspace.home()
-    return dg.MaterializeResult(metadata=report_metadata(home, write_benchmark_report(home)))
+    try:
+        absent = patiently(lambda: scenes_without_data(home), context.log.info)
+    except CatalogueError as error:
+        context.instance.add_run_tags(context.run.run_id, CATALOGUE_TAGS)
+        raise dg.Failure(description=str(error), allow_retries=False) from error
+    page = write_benchmark_report(home, absent)
+    return dg.MaterializeResult(metadata=report_metadata(home, page, absent))
 
 
-def report_metadata(home: Path, page: Path) -> dict[str, dg.MetadataValue]:
-    """Metadata of a report: its page, how many scenes have metrics, and how many have no data."""
+def report_metadata(home: Path, page: Path, absent: Sequence[str]) -> dict[str, dg.MetadataValue]:
+    """Metadata of a report: its page, how many scenes have metrics, and how many have no data (`absent`)."""
     from nvsf_core.reporting.scene_outputs import measured_scenes  # see `write_benchmark_report`
 
-    measured = measured_scenes(home)
     return {
         "path": dg.MetadataValue.path(str(page)),
-        "scenes": dg.MetadataValue.int(len(measured)),
-        "scenes_without_data": dg.MetadataValue.int(len(_without_data(measured))),
+        "scenes": dg.MetadataValue.int(len(measured_scenes(home))),
+        "scenes_without_data": dg.MetadataValue.int(len(absent)),
     }
 
 
@@ -54,17 +60,28 @@ def report_made_of(instance: dg.DagsterInstance, run_id: str) -> dict[str, str]:
     return made_of(instance, run_id, inputs)  # a run's id, as Dagster has it where there is no code version
 
 
-def write_benchmark_report(home: Path) -> Path:
-    """Make the page from all metrics under `home`, without Dagster; returns its path."""
-    # Here, because they load matplotlib and zarr, for which no start of Dagster should wait.
-    from nvsf_core.reporting.scene_outputs import measured_scenes
+def write_benchmark_report(home: Path, absent: Sequence[str]) -> Path:
+    """Make the page from all metrics under `home`, without Dagster; returns its path.
+
+    Args:
+        home: Folder of all outputs.
+        absent: Scenes without data, which the page names.
+    """
+    # Here, because it loads matplotlib and zarr, for which no start of Dagster should wait.
     from nvsf_core.stages.benchmark_report import make_benchmark_report
 
-    return make_benchmark_report(home, [], {}, _without_data(measured_scenes(home)), CURVES)
+    return make_benchmark_report(home, [], {}, absent, CURVES)
 
 
-def _without_data(measured: Sequence[str]) -> list[str]:
-    """Scenes of the catalogue that were not measured and whose recordings are not here."""
+def scenes_without_data(home: Path) -> list[str]:
+    """Scenes of the catalogue that were not measured and whose recordings are not here.
+
+    Raises:
+        CatalogueError: The catalogue cannot be read.
+    """
+    from nvsf_core.reporting.scene_outputs import measured_scenes  # see `write_benchmark_report`
+
+    measured = measured_scenes(home)
     return [entry.name for entry in catalogue() if entry.name not in measured and not _is_there(entry)]
 
 

@@ -14,6 +14,7 @@ from nvsf_core.recipe.presets import preset
 from nvsf_core.recipe.seed import seed_from_text
 from nvsf_core.stages import Outcome, RunConfig, SceneRun, Stage, find_scene, plan_run, run_named_stage
 from nvsf_core.stages.runner.failures import remember_failure
+from nvsf_core.stages.runner.patience import patiently
 from nvsf_core.stages.runner.run import DEFAULT_RECIPE
 from nvsf_core.stages.runner.stage import Progress
 from nvsf_core.stages.runner.trained import newest_field
@@ -45,21 +46,21 @@ class Workspace(dg.ConfigurableResource):
         """NVSF_HOME, else `.nvsf` in the working directory."""
         return home_from_environment(os.environ)
 
-    def plan(self, scene: str, *, keep: bool = False, draw_seed: int = 0) -> SceneRun:
+    def plan(self, scene: str) -> SceneRun:
         """The run of the scene of that name.
 
-        Args:
-            scene: Name of the scene.
-            keep: Take recipe and seed of the scene's newest field, if it has one and this run names none.
-            draw_seed: Of the run, which counts if it names none.
-
         Raises:
-            DataError: The catalogue has no such scene, or the label cannot be part of a folder's name.
+            DataError: The catalogue cannot be read or has no such scene, or the label cannot be part of a
+                folder's name.
             RecipeError: There is no such recipe, or a seed is not valid.
             StoreError: The home cannot be written to.
         """
-        entry, choices = find_scene(scene), self._choices()
-        kept = newest_field(self.home() / scene) if keep and not self.recipe and self.seed is None else None
+        return self._planned(find_scene(scene), keep=False, draw_seed=0)
+
+    def _planned(self, entry: SceneEntry, *, keep: bool, draw_seed: int) -> SceneRun:
+        choices, kept = self._choices(), None
+        if keep and not self.recipe and self.seed is None:
+            kept = newest_field(self.home() / entry.name)
         if kept is not None:
             choices |= {"recipe": kept[0], "seed": kept[1]}
         if self.draw_seed is None:
@@ -78,20 +79,22 @@ class Workspace(dg.ConfigurableResource):
     ) -> Outcome:
         """Run, or skip, a stage on a scene; why it could not even be planned is remembered, too.
 
+        A catalogue that cannot be read is waited for, as somebody may be editing it.
+
         Args:
             name: Name of the stage.
             scene: Name of the scene.
             progress: Receives progress lines.
             stages: All stages of the flow.
-            keep: As of `plan`.
-            draw_seed: As of `plan`.
+            keep: Take recipe and seed of the scene's newest field, if it has one and this run names none.
+            draw_seed: Of the run, which counts if it names none.
 
         Raises:
             NvsfError: It cannot be planned, or the stage failed.
         """
-        entry = find_scene(scene)
+        entry = patiently(lambda: find_scene(scene), progress)
         try:
-            run = self.plan(scene, keep=keep, draw_seed=draw_seed)
+            run = self._planned(entry, keep=keep, draw_seed=draw_seed)
         except NvsfError as error:
             remember_failure(SceneStore(self.home(), entry.name), name, str(error))
             raise

@@ -2,6 +2,7 @@
 
 NvsfError
 ├── DataError                input data is wrong; the message names scene, path and remedy
+│   ├── CatalogueError       a catalogue cannot be read, or contradicts itself
 │   ├── NoDataError          the drive is not on this machine
 │   ├── MissingFrameError    a requested frame cannot be used
 │   └── CalibrationError     a calibration file lacks a value, or one is invalid
@@ -16,6 +17,7 @@ NvsfError
 
 __all__ = [
     "CalibrationError",
+    "CatalogueError",
     "CheckFailedError",
     "DataError",
     "DivergedError",
@@ -36,6 +38,10 @@ class NvsfError(Exception):
 
 class DataError(NvsfError):
     """Input data is wrong; the message says what was expected, what was found, where, and what to do."""
+
+
+class CatalogueError(DataError):
+    """A catalogue cannot be read or contradicts itself, perhaps because somebody is editing it."""
 
 
 class NoDataError(DataError):

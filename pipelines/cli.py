@@ -294,10 +294,11 @@ def join(scene: str, view: str, out: Path, recipe: str | None, seed: int) -> Non
 @main.command()
 def report() -> None:
     """Make the offline HTML page over everything measured under NVSF_HOME."""
-    from assets.report import write_benchmark_report
+    from assets.report import scenes_without_data, write_benchmark_report
     from nvsf_core.drives.catalogue import home_from_environment
 
-    _say(write_benchmark_report(home_from_environment(os.environ)))
+    home = home_from_environment(os.environ)
+    _say(write_benchmark_report(home, scenes_without_data(home)))
 
 
 @main.command()

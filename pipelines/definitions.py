@@ -11,6 +11,7 @@ from assets.prepare import prepare_assets
 from assets.report import report_assets
 from assets.synthesis import synthesis_assets
 from assets.train import train_assets
+from pipelines.catalogue_runs import catalogue_again
 from pipelines.executors import executor_from_environment
 from pipelines.failures import failure_command
 from pipelines.jobs import JOBS
@@ -35,7 +36,14 @@ defs = dg.Definitions(
     asset_checks=offer_checks,
     jobs=JOBS,
     schedules=[weekly_regeneration],
-    sensors=[new_drives, scenes_follow, report_follows, stale_run_reaper, failure_command],
+    sensors=[
+        new_drives,
+        scenes_follow,
+        report_follows,
+        catalogue_again,
+        stale_run_reaper,
+        failure_command,
+    ],
     resources=RESOURCES,
     executor=executor_from_environment(),
     loggers={"terse": terse_logger},

@@ -23,16 +23,17 @@ from assets.factory import events_of, failed_checks, inputs_of, observed_by
 from assets.metadata import exported_folders
 from assets.origin import TERMINAL_TAG, say_whose_run_it_is
 from assets.provenance import made_of
-from assets.report import CURVES, REPORT, report_made_of, report_metadata
+from assets.report import CURVES, REPORT, report_made_of, report_metadata, scenes_without_data
 from assets.scenes import key_of, register
 from assets.verdicts import reason_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.drive import has_data, why_no_data
-from nvsf_core.errors import NvsfError, StageKilledError
+from nvsf_core.errors import CatalogueError, NvsfError, StageKilledError
 from nvsf_core.names import printable
 from nvsf_core.stages import STAGES, Stage, find_scene
 from nvsf_core.stages.flow import SCENE_METRICS
 from nvsf_core.stages.runner.failures import remember_failure
+from nvsf_core.stages.runner.patience import patiently
 from nvsf_core.stages.runner.run import write_demo_where_absent
 from nvsf_core.stores.scene_store import SceneStore
 from pipelines.closing_words import SceneState, closing_words, next_ui, next_view
@@ -102,7 +103,7 @@ def choose_scenes(context: dg.OpExecutionContext, workspace: Workspace, config: 
 def _prepare_drive(name: str, context: dg.OpExecutionContext) -> str:
     """Why the scene's drive cannot be used; empty if it can."""
     try:
-        entry = find_scene(name)
+        entry = patiently(lambda: find_scene(name), context.log.info)
         write_demo_where_absent(entry, context.log.info)
         return "" if has_data(entry) else f"drive: no data at {entry.root}: {why_no_data(entry)}"
     except NvsfError as error:
@@ -133,7 +134,8 @@ def _stage_op(stage: Stage, position: int, stages: Sequence[Stage]) -> dg.OpDefi
             return _failed(context, state, stage, StageKilledError(_KILLED_TWICE), _KILLED_TWICE)
         _say_that_it_is_begun(context, stage, scene)
         try:
-            for seen in newly_seen(context.instance, find_scene(scene), workspace, observed_by(stage)):
+            entry = patiently(lambda: find_scene(scene), context.log.info)
+            for seen in newly_seen(context.instance, entry, workspace, observed_by(stage)):
                 context.log_event(seen)
             inputs = made_of(context.instance, stage.version, inputs_of(stage), scene)
             outcome = workspace.run_stage(stage.name, scene, context.log.info, stages=stages)
@@ -188,25 +190,31 @@ def report_all(
 
     The page shows everything measured under the home, the table on the terminal only this run.
     """
+    # Here, because they load matplotlib, zarr and pyarrow, for which no start of Dagster should wait.
+    from nvsf_core.stages.benchmark_report import make_benchmark_report
+    from nvsf_core.stores.tables import read_rows
+
     inputs = report_made_of(context.instance, context.run_id)
     failures = {state["scene"]: state["failed"] for state in states if state["failed"]}
     measured = [state["scene"] for state in states if not state["failed"]]
     named = [state["scene"] for state in states]
-    rows = []
+    rows, planned = [], []
+    try:
+        lacking = patiently(lambda: scenes_without_data(workspace.home()), context.log.info)
+    except CatalogueError:  # each scene says it below
+        lacking = absent
     for scene in measured:
         try:
-            rows += _metrics(workspace, scene)
+            run = workspace.plan(scene)
+            rows += read_rows(run.store.require(SCENE_METRICS.location(run.config)) / "metrics.parquet")
+            planned.append(run)
         except NvsfError as error:
             failures[scene] = f"report: {error}"
-    # Here, because it loads matplotlib and zarr, for which no start of Dagster should wait.
-    from nvsf_core.stages.benchmark_report import make_benchmark_report
-
     path = make_benchmark_report(workspace.home(), named, failures, absent, CURVES)
-    metadata = report_metadata(workspace.home(), path)
+    metadata = report_metadata(workspace.home(), path, lacking)
     context.log_event(dg.AssetMaterialization(asset_key=key_of(REPORT), metadata=metadata, tags=inputs))
     words = closing_words(rows, states, failures, absent, path)
-    shown = [scene for scene in measured if scene not in failures]
-    words += next_view(workspace.plan(shown[0])) if shown else []
+    words += next_view(planned[0]) if planned else []
     words += next_ui(context.run_id) if _is_of_terminal(context) else []
     sys.stdout.write("\n".join([*map(printable, words), ""]))
     sys.stdout.flush()
@@ -217,13 +225,6 @@ def _is_of_terminal(context: dg.OpExecutionContext) -> bool:
     """Whether a terminal started this run, and not the daemon."""
     run = None if context.instance.is_ephemeral else context.instance.get_run_by_id(context.run_id)
     return run is not None and TERMINAL_TAG in run.tags
-
-
-def _metrics(workspace: Workspace, scene: str) -> list[dict[str, Any]]:
-    from nvsf_core.stores.tables import read_rows  # loads pyarrow: see `report_all`
-
-    run = workspace.plan(scene)
-    return read_rows(run.store.require(SCENE_METRICS.location(run.config)) / "metrics.parquet")
 
 
 @dg.op(description="Fails the run if any scene failed, after the report of the others was made.")

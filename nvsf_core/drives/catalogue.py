@@ -13,7 +13,7 @@ from nvsf_core.drives.cuts import cut_scene
 from nvsf_core.drives.entries import OWN_ROOT_KINDS, SceneEntry, ViewEntry
 from nvsf_core.drives.kitti360.text import MIB, read_text
 from nvsf_core.drives.view_parts import SensorEntry
-from nvsf_core.errors import DataError
+from nvsf_core.errors import CatalogueError, DataError
 
 __all__ = [
     "UNSET_ROOT",
@@ -45,14 +45,17 @@ def catalogue_from_environment(environ: Mapping[str, str]) -> tuple[SceneEntry, 
     """The catalogue given by NVSF_SCENES (default: the project's `scenes.toml`) and NVSF_KITTI360_ROOT.
 
     Raises:
-        DataError: See `load_catalogue`.
+        CatalogueError: See `load_catalogue`.
     """
     root = environ.get("NVSF_KITTI360_ROOT")
-    return load_catalogue(
-        _files(environ),
-        expanded(root, "NVSF_KITTI360_ROOT") if root else None,
-        home=home_from_environment(environ),
-    )
+    try:
+        return load_catalogue(
+            _files(environ),
+            expanded(root, "NVSF_KITTI360_ROOT") if root else None,
+            home=home_from_environment(environ),
+        )
+    except DataError as error:
+        raise CatalogueError(str(error)) from error
 
 
 def sensors_from_environment(environ: Mapping[str, str]) -> dict[str, SensorEntry]:

@@ -166,7 +166,7 @@ def test_a_scene_s_failure_stays_in_the_report_until_it_succeeds(run_job, tmp_pa
     page = tmp_path / "home/benchmark_report/index.html"
     run_job("good")
     assert "<b>bad failed:</b><pre>frames: the scan is torn (" in page.read_text()
-    write_benchmark_report(tmp_path / "home")
+    write_benchmark_report(tmp_path / "home", [])
     assert "the scan is torn" in page.read_text()
     monkeypatch.setattr(sys.modules[__name__], "TORN", ())
     run_job("bad")

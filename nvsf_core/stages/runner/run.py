@@ -242,6 +242,7 @@ def find_scene(name: str) -> SceneEntry:
     """The catalogue's entry of that name.
 
     Raises:
+        CatalogueError: The catalogue cannot be read.
         DataError: There is none, or the name is no text.
     """
     if not isinstance(name, str):
