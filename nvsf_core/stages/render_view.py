@@ -21,6 +21,7 @@ from nvsf_core.stages.inputs import clock_origin_s, read_recording
 from nvsf_core.stages.kept_versions import keep_newest
 from nvsf_core.stages.novel_views import asks_images, render_view_arrays, say_tilted, with_images
 from nvsf_core.stages.runner.locks import LOCKS, file_lock, output_locks
+from nvsf_core.stages.runner.own_places import require_place_of_yours
 from nvsf_core.stages.runner.run import (
     SceneRun,
     find_scene,
@@ -88,8 +89,8 @@ def render_view(
         The folder of the data set, with its `manifest.json` and its card.
 
     Raises:
-        DataError: The view asks for what is impossible, or `out` is taken or in the drive; found before
-            anything is trained.
+        DataError: The view asks for what is impossible, or `out` is taken, in the drive, or belongs to the
+            outputs in the home; found before anything is trained.
         NvsfError: A stage failed.
     """
     entry = find_scene(scene) if isinstance(scene, str) else scene
@@ -101,6 +102,7 @@ def render_view(
         raise DataError(f"out: expected no {target}, or an empty folder, found one with files; name another")
     if target is not None:
         require_outside(target, own_folders(entry))
+        require_place_of_yours(target, place)
     run = plan_run(
         replace(entry, views=(asked,)), place, recipe=recipe, seed=seed, draw_seed=draw_seed
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.drives.drive import own_folders, require_outside
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kitti360.writer import read_numbers, write_grey
@@ -25,6 +27,7 @@ from nvsf_core.stages.exports.manifest import (
 from nvsf_core.stages.exports.one_drive import on_one_clock, with_shared_objects
 from nvsf_core.stages.exports.write import WHOLE, finish_data_set
 from nvsf_core.stages.kept_versions import in_order
+from nvsf_core.stages.runner.own_places import require_place_of_yours
 from nvsf_core.stores.scene_store import SceneStore, new_folder
 
 _COUNTS = ("n_frames", "n_defined")
@@ -60,11 +63,12 @@ def join_data_sets(
 
     Raises:
         DataError: The data sets are not of one recipe, seed and view, are not of recorded frames, or `out`
-            is taken, or in the drive.
+            is taken, in the drive, or belongs to the outputs in NVSF_HOME.
     """
     if out.exists():
         raise DataError(f"{out}: expected a folder to be made, found one that is there; name another")
     require_outside(out, [own for part, _ in parts for own in own_folders(part)])
+    require_place_of_yours(out, home_from_environment(os.environ))
     asked = [(*one, folder) for one, folder in zip(parts, folders, strict=True) if folder is not None]
     manifests = _manifests_of_one_view(asked)
     without = [part.name for (part, _), folder in zip(parts, folders, strict=True) if folder is None]

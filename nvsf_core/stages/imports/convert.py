@@ -6,12 +6,14 @@ written. The drive appears under its name only when it is complete.
 
 import contextlib
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from nvsf_core.drives.catalogue import home_from_environment
 from nvsf_core.drives.drive import AbstractDrive, DriveFacts, drive_of, require_outside
 from nvsf_core.drives.entries import SceneEntry
 from nvsf_core.drives.kinds import MOST_FRAMES
@@ -25,6 +27,7 @@ from nvsf_core.stages.imports.kitti360_layout import Kitti360Target
 from nvsf_core.stages.imports.odometry import found_path
 from nvsf_core.stages.imports.plain_layout import PlainTarget
 from nvsf_core.stages.imports.target import AbstractTarget
+from nvsf_core.stages.runner.own_places import require_place_of_yours
 from nvsf_core.stores.scene_store import new_folder
 from nvsf_core.stores.writers import leftovers
 
@@ -75,7 +78,7 @@ def import_drive(
 
     Raises:
         DataError: The drive cannot be read, nothing of it or none of its scans can be used, or `out` is taken
-            or in the drive.
+            or in the drive, or belongs to the outputs in NVSF_HOME.
         MissingLibraryError: Poses are to be found and KISS-ICP is not installed.
     """
     if layout not in TARGETS:
@@ -83,6 +86,7 @@ def import_drive(
     if out.exists() and (not out.is_dir() or set(out.iterdir()) - set(leftovers(out))):
         raise DataError(f"{out}: expected a folder to be made, found one that is taken; name another")
     require_outside(out, [scene.root])
+    require_place_of_yours(out, home_from_environment(os.environ))
     if len(range(scene.first_frame, scene.last_frame + 1)) > MOST_FRAMES:
         raise DataError(f"expected at most {MOST_FRAMES:,} frames; name a part (--first, --last)")
     try:
