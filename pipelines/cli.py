@@ -55,13 +55,19 @@ class _Ours(click.Group):
             return super().invoke(ctx)
         except NvsfError as error:
             raise click.ClickException(printable(error)) from error
-        except PermissionError as error:
-            raise click.ClickException(printable(_no_permission(error))) from error
+        except BrokenPipeError:
+            raise  # who reads the words has gone: click ends without a word
+        except OSError as error:
+            raise click.ClickException(printable(_refused(error))) from error
 
 
-def _no_permission(error: PermissionError) -> str:
-    """What may not be read or written, and what to do."""
-    return f"cannot use {error.filename} ({error.strerror}); correct its owner or permissions"
+def _refused(error: OSError) -> str:
+    """What could not be read or written, why, and what to do."""
+    if isinstance(error, PermissionError):
+        return f"cannot use {error.filename} ({error.strerror}); correct its owner or permissions"
+    # A write that the disk refuses names no file.
+    place = error.filename or f"a file, with NVSF_HOME={os.environ.get('NVSF_HOME') or '.nvsf'}"
+    return f"cannot use {place} ({error.strerror or error}); check space and name"
 
 
 def _say(line: object, *, err: bool = False) -> None:
@@ -323,7 +329,7 @@ def scenes() -> None:
         except NvsfError as error:
             there = str(error)
         except PermissionError as error:
-            there = _no_permission(error)
+            there = _refused(error)
         _say(f"{entry.name:32} frames {entry.first_frame} to {entry.last_frame}: {there}")
 
 

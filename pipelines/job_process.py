@@ -8,8 +8,9 @@ from pathlib import Path
 from types import FrameType
 
 from nvsf_core.drives.catalogue import home_from_environment
+from nvsf_core.errors import StoreError
 from nvsf_core.stages.runner.run import find_scene, say_on_stderr
-from nvsf_core.stores.scene_store import require_home
+from nvsf_core.stores.scene_store import require_home, why_not_writable
 from pipelines.instance import DAGSTER, instance_place, make_instance
 
 INTERRUPTED = "interrupted. Run it again to go on: what was finished is skipped, and training resumes"
@@ -28,7 +29,7 @@ def run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
 
     Raises:
         DataError: The catalogue has no scene of such a name; nothing was started.
-        StoreError: NVSF_HOME cannot be written to, or Dagster's instance cannot be made.
+        StoreError: NVSF_HOME or DAGSTER_HOME cannot be written to, or Dagster's instance cannot be made.
     """
     for name in scenes:
         find_scene(name)
@@ -44,6 +45,9 @@ def run_job(scenes: Sequence[str], recipe: str, seed: int) -> int:
         # One process: to start one for each step takes longer than the steps of so short a drive.
         environment["NVSF_EXECUTOR"] = "in_process"
     make_instance(place)
+    fault = why_not_writable(place)
+    if fault is not None:
+        raise StoreError(f"DAGSTER_HOME={place}: expected a folder to write to, found one {fault}")
     # Else Dagster would look for the package in the folder it is called in, which may have one of that name.
     ours = str(Path(__file__).resolve().parents[1])
     return _status_of([*DAGSTER, "job", "execute", "-d", ours, "-j", "train_all_scenes"], environment)

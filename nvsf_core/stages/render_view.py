@@ -10,7 +10,7 @@ from nvsf_core.drives.catalogue import SceneEntry, home_from_environment, sensor
 from nvsf_core.drives.catalogue_views import read_view
 from nvsf_core.drives.drive import own_folders, require_outside
 from nvsf_core.drives.view_entry import ViewEntry
-from nvsf_core.errors import DataError
+from nvsf_core.errors import DataError, StoreError
 from nvsf_core.recipe.base import Recipe
 from nvsf_core.stages.dataset import dataset_version, failed_checks, identity_of, is_there, source_checksums
 from nvsf_core.stages.exports.of_view import RenderedView
@@ -91,6 +91,7 @@ def render_view(
     Raises:
         DataError: The view asks for what is impossible, or `out` is taken, in the drive, or belongs to the
             outputs in the home; found before anything is trained.
+        StoreError: The disk refused what was to be written.
         NvsfError: A stage failed.
     """
     entry = find_scene(scene) if isinstance(scene, str) else scene
@@ -111,27 +112,35 @@ def render_view(
         run_named_stage(name, run, say)
     # Nobody replaces what is read below; the field's place depends on recipe and seed.
     read = [*_BEFORE[:-1], FIELD.location(run.config)]
-    with output_locks(place / LOCKS / entry.name, None, read, say):
-        if target is not None:
-            try:
-                with new_folder(target) as folder:
-                    _write(run, asked, folder, say)
-            except OSError as error:
-                why = error.strerror or error
-                raise DataError(f"out: cannot write {target} ({why}); check space and rights") from error
-            _say_doubts(entry.name, target, say)
-            return target
-        task = run.task(place, say)
-        location = f"dataset/{asked.name}/{dataset_version(task, asked, source_checksums(task))}"
-        lock = file_lock(place / LOCKS / entry.name / f"{location}.lock", say, f"{location} of another run")
-        with reading_versions(place, [entry.name], say), lock:
-            if not is_there(task, location):
-                with run.store.publish(location) as folder:
-                    _write(run, asked, folder, say)
-                    carry_pin(run.store.path(location), folder)
-        _say_doubts(entry.name, run.store.path(location), say)
-        keep_newest(run.store, [location], say)
-        return run.store.path(location)
+    try:
+        with output_locks(place / LOCKS / entry.name, None, read, say):
+            return _data_set(run, asked, target, say)
+    except OSError as error:
+        refused = target or error.filename or run.store.root
+        raise StoreError(
+            f"cannot write {refused} ({error.strerror or error}); check space and rights"
+        ) from error
+
+
+def _data_set(run: SceneRun, asked: ViewEntry, target: Path | None, say: Progress) -> Path:
+    """Write the data set of a view whose model and drive nobody replaces meanwhile."""
+    if target is not None:
+        with new_folder(target) as folder:
+            _write(run, asked, folder, say)
+        _say_doubts(run.scene.name, target, say)
+        return target
+    home, scene = run.store.home, run.scene.name
+    task = run.task(home, say)
+    location = f"dataset/{asked.name}/{dataset_version(task, asked, source_checksums(task))}"
+    lock = file_lock(home / LOCKS / scene / f"{location}.lock", say, f"{location} of another run")
+    with reading_versions(home, [scene], say), lock:
+        if not is_there(task, location):
+            with run.store.publish(location) as folder:
+                _write(run, asked, folder, say)
+                carry_pin(run.store.path(location), folder)
+    _say_doubts(scene, run.store.path(location), say)
+    keep_newest(run.store, [location], say)
+    return run.store.path(location)
 
 
 def _say_doubts(scene: str, folder: Path, say: Progress) -> None:

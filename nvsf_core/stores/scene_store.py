@@ -24,6 +24,8 @@ _REMOVING = ".removing-"
 """Of an output that is being deleted: never restored."""
 _LONGEST_HOME = 1000
 """Most characters of NVSF_HOME: a path may have 4096 bytes, and outputs add some 200."""
+_TRIED_BYTES = 2**16
+"""More than a write leaves in Python's buffer, less than a second's work on any disk."""
 _CHANCE = re.compile(r"[0-9a-f]{8}")
 """Ending of a retired folder's name: random digits."""
 _OCCUPIED = (errno.ENOTEMPTY, errno.EEXIST)
@@ -47,22 +49,27 @@ def require_home(home: Path) -> Path:
     try:
         home = home.resolve()
         nearest = next(path for path in (home, *home.parents) if path.exists())
-        usable = nearest.is_dir() and _is_writable(nearest)
+        fault = why_not_writable(nearest) if nearest.is_dir() else "which is no folder"
     except (OSError, ValueError, RuntimeError) as error:  # too long, a NUL, circular links
         raise StoreError(f"NVSF_HOME: expected a folder, found {str(home)!r:.200} ({error})") from error
-    if not usable:
-        found = "which cannot be written to" if nearest.is_dir() else "which is no folder"
-        raise StoreError(f"NVSF_HOME={home}: expected a folder to write to, found {nearest}, {found}")
+    if fault is not None:
+        raise StoreError(f"NVSF_HOME={home}: expected a folder to write to, found {nearest}, {fault}")
     return home
 
 
-def _is_writable(folder: Path) -> bool:
-    """Try to write: for root, permissions allow everything, even on a read-only disk and in /proc."""
+def why_not_writable(folder: Path) -> str | None:
+    """Why a small file cannot be written in a folder; None if it can.
+
+    It is tried: for root, permissions allow everything, even on a read-only disk and in /proc, and a full
+    disk still takes an empty file.
+    """
     try:
-        with tempfile.TemporaryDirectory(prefix=".nvsf-", dir=folder):
-            return True
-    except OSError:
-        return False
+        with tempfile.TemporaryFile(prefix=".nvsf-", dir=folder) as file:
+            file.write(bytes(_TRIED_BYTES))
+            file.flush()
+    except OSError as error:
+        return f"which cannot be written to ({error.strerror or error}); check space and rights"
+    return None
 
 
 @dataclass(frozen=True, slots=True)

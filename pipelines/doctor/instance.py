@@ -40,7 +40,8 @@ def examine_instance(environ: Mapping[str, str]) -> tuple[bool, str]:
             words = f"{place}, {instance.get_runs_count()} runs, {_daemon(instance)}"
     # Whatever is wrong with a configuration or a database, the doctor says it and goes on.
     except Exception as error:
-        return False, f"{place} cannot be opened ({type(error).__name__}: {error!s:.200})"
+        said = next(iter(str(error).splitlines()), "")  # a database adds its statement
+        return False, f"{place} cannot be opened ({type(error).__name__}: {said:.200})"
     return not faults, f"{words}{''.join('; ' + fault for fault in faults)}"
 
 

@@ -1,8 +1,10 @@
 """The command `nvsf` says what there is, what is missing, and what went wrong in one line."""
 
 import os
+import resource
 import shutil
 import subprocess
+from collections.abc import Iterator
 
 import dagster as dg
 import pytest
@@ -273,3 +275,29 @@ def test_the_doctor_goes_on_where_folders_may_not_be_entered(tiny_catalogue, tmp
     assert all("ermission denied" in words[name] for name in ("NVSF_HOME", "locks", "Dagster instance")), (
         words
     )
+
+
+@pytest.fixture
+def full_disk() -> Iterator[None]:
+    """No file may be longer than a byte, which a process is refused as it is by a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_home_that_takes_no_file_ends_every_command_in_one_line(ask, tmp_path, full_disk):
+    for words in (["train", "tiny"], ["view", "tiny", "frames = [1]"]):
+        said = ask(*words)
+        assert (said.exit_code, type(said.exception)) == (1, SystemExit), said.exception
+        last = said.output.splitlines()[-1]
+        assert last.startswith(f"Error: NVSF_HOME={tmp_path}/home: ") and "File too large" in last
+    said = ask("doctor")
+    assert said.exit_code == 1 and "MISSING NVSF_HOME: " in said.output
+
+
+def test_a_name_that_the_disk_refuses_is_told_in_one_line(ask, tiny_catalogue, tmp_path):
+    out = tmp_path / ("n" * 300)
+    said = ask("import", str(tiny_catalogue.parent / "drive"), "--out", str(out))
+    assert (said.exit_code, type(said.exception)) == (1, SystemExit), said.exception
+    assert said.output.splitlines()[-1] == f"Error: cannot use {out} (File name too long); check space and name"
