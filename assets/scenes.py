@@ -12,6 +12,8 @@ PREFIX = "nvsf"
 OWNERS = ["team:nvsf"]
 DATA_VERSION = "dagster/data_version"
 """Tag of an event that carries a data version."""
+PARTITION_TAG = "dagster/partition"
+"""Tag of a run of one scene."""
 SCENES = dg.DynamicPartitionsDefinition(name="scenes")
 """Scenes whose drives were seen here: `new_drives` adds them, and so does every run of `train_all_scenes`."""
 

@@ -6,7 +6,7 @@ import dagster as dg
 
 from assets.automation import CATALOGUE_TAGS, KEPT
 from assets.report import REPORT
-from assets.scenes import SCENES, key_of
+from assets.scenes import PARTITION_TAG, SCENES, key_of
 from assets.workspace import catalogue
 from nvsf_core.errors import CatalogueError
 from pipelines.jobs import RETRY_TAGS, make_report, regenerate_synthetic, train_scene
@@ -15,7 +15,6 @@ LAUNCHED_TAG = "nvsf/launched_again"
 """Tag of a run that the sensor launched: how often in a row."""
 _MOST_TIMES = 5
 """Where the sensor reads a catalogue that its runs cannot read, as in another container, nothing helps."""
-_SCENE = "dagster/partition"
 _KEPT_TAGS = (KEPT, "nvsf/label", *RETRY_TAGS)
 _JOBS = {job.name: job for job in (train_scene, regenerate_synthetic, make_report)}
 
@@ -41,7 +40,7 @@ def catalogue_again(context: dg.SensorEvaluationContext) -> Iterator[dg.RunReque
         yield dg.SkipReason(f"{len(runs)} runs wait: {error}")
         return
     for run in runs:
-        scene = run.tags.get(_SCENE)
+        scene = run.tags.get(PARTITION_TAG)
         if scene is not None and scene not in names:
             continue
         job = run.job_name if run.job_name in _JOBS else (make_report if scene is None else train_scene).name
@@ -62,7 +61,7 @@ def _failed_for_the_catalogue(instance: dg.DagsterInstance) -> Iterator[dg.Dagst
     looked_at: set[str | None] = set()
     for record in instance.get_run_records(failed, limit=100):  # the newest first
         run = record.dagster_run
-        scene = run.tags.get(_SCENE)
+        scene = run.tags.get(PARTITION_TAG)
         if scene in looked_at:
             continue
         looked_at.add(scene)
@@ -70,7 +69,7 @@ def _failed_for_the_catalogue(instance: dg.DagsterInstance) -> Iterator[dg.Dagst
             report = instance.get_latest_materialization_event(key_of(REPORT))
             is_newest = report is None or report.timestamp < (record.end_time or 0.0)
         else:
-            (newest,) = instance.get_runs(dg.RunsFilter(tags={_SCENE: scene}), limit=1)
+            (newest,) = instance.get_runs(dg.RunsFilter(tags={PARTITION_TAG: scene}), limit=1)
             is_newest = newest.run_id == run.run_id
         if is_newest and _times(run) < _MOST_TIMES:
             yield run

@@ -10,6 +10,8 @@ from typing import Any
 
 import dagster as dg
 
+from assets.scenes import PARTITION_TAG
+
 COMMAND_VARIABLE = "NVSF_ON_FAILURE"
 CALLED_TAG = "nvsf/failure_command"
 """Tag of a run that has called the command itself, as a terminal's run does: a daemon need not be there."""
@@ -73,7 +75,7 @@ def failure_command(context: dg.RunFailureSensorContext) -> dg.SkipReason:
     failure = {
         "run_id": run.run_id,
         "job": run.job_name,
-        "scene": run.tags.get("dagster/partition", ""),
+        "scene": run.tags.get(PARTITION_TAG, ""),
         "words": "\n".join(one for one in words if one)[:_MOST_WORDS],
     }
     return dg.SkipReason(call_command(failure))

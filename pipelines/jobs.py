@@ -12,6 +12,9 @@ from pipelines.train_all import make_train_all_scenes
 
 RETRY_TAGS = {"dagster/max_retries": "2"}
 """Of what the daemon launches: a run whose process died is launched again; one whose step failed is not."""
+_FINISHED = (dg.DagsterRunStatus.SUCCESS, dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.CANCELED)
+UNFINISHED = [status for status in dg.DagsterRunStatus if status not in _FINISHED]
+"""Of a run that waits or is at work."""
 
 train_all_scenes = make_train_all_scenes()
 

@@ -10,14 +10,14 @@ import dagster as dg
 from assets.automation import KEPT_TAGS
 from assets.drives import observation, versions_of
 from assets.offers import OFFERS, offer_evaluation
-from assets.scenes import SCENES, key_of
+from assets.scenes import PARTITION_TAG, SCENES, key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.catalogue import SceneEntry
 from nvsf_core.drives.drive import drive_of
 from nvsf_core.drives.section import why_wait
 from nvsf_core.errors import NvsfError
 from nvsf_core.stores.file_hashes import TimeIsUpError
-from pipelines.jobs import RETRY_TAGS
+from pipelines.jobs import RETRY_TAGS, UNFINISHED
 from pipelines.switch import AUTOMATE_VARIABLE, is_on, quiet_s
 
 _MOST_READING_S = 20.0
@@ -42,7 +42,8 @@ class _Found(NamedTuple):
     default_status=dg.DefaultSensorStatus.RUNNING,
     description="Watches the catalogue and its roots: a scene whose drive is whole becomes a partition, a "
     "changed drive or view is reported by the content of its files. Half-copied drives wait. A scene that is "
-    "in the catalogue no more is no partition; what was made of it stays. Starts no run.",
+    "in the catalogue no more is no partition, and its waiting run is canceled; what was made of it stays. "
+    "Starts no run.",
 )
 def new_drives(context: dg.SensorEvaluationContext) -> dg.SensorResult:
     """Report drives that are new or changed.
@@ -54,7 +55,9 @@ def new_drives(context: dg.SensorEvaluationContext) -> dg.SensorResult:
     events: list[dg.AssetObservation | dg.AssetCheckEvaluation] = []
     known = set(context.instance.get_dynamic_partitions(SCENES.name or ""))
     entries, workspace, waits_s = catalogue(), Workspace(), quiet_s(os.environ)
-    gone = sorted(known - {entry.name for entry in entries})
+    absent = sorted(known - {entry.name for entry in entries})
+    busy = [name for name in absent if _is_at_work(context.instance, name)]
+    gone = [name for name in absent if name not in busy]
     seen = {name: one for name, one in seen.items() if name not in gone}
     for entry in entries:
         try:
@@ -80,6 +83,7 @@ def new_drives(context: dg.SensorEvaluationContext) -> dg.SensorResult:
     except (NvsfError, OSError) as error:
         words.append(f"offers: {error}")
     words += [f"{name}: in the catalogue no more, so no partition; its outputs stay" for name in gone]
+    words += [f"{name}: in the catalogue no more; its run is at work" for name in busy]
     if words:
         context.log.info("; ".join(words))  # also where something else is reported, which leaves no reason
     requests = [SCENES.build_add_request(new)] if new else []
@@ -89,6 +93,20 @@ def new_drives(context: dg.SensorEvaluationContext) -> dg.SensorResult:
         asset_events=events,
         cursor=json.dumps(seen),
     )
+
+
+def _is_at_work(instance: dg.DagsterInstance, scene: str) -> bool:
+    """Whether a run of a scene that left the catalogue is at work; one that waits is canceled.
+
+    Without its partition either would fail in Dagster, whose words name no catalogue.
+    """
+    of_scene = dg.RunsFilter(tags={PARTITION_TAG: scene}, statuses=UNFINISHED)
+    runs = instance.get_runs(of_scene)
+    for run in runs:
+        if run.status is dg.DagsterRunStatus.QUEUED:
+            instance.report_run_canceling(run, f"{scene} is in the catalogue no more")
+            instance.report_run_canceled(run)
+    return any(run.status is not dg.DagsterRunStatus.QUEUED for run in runs)
 
 
 def _look_at(entry: SceneEntry, workspace: Workspace, before: dict[str, Any]) -> _Found:

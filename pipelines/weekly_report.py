@@ -4,10 +4,7 @@ import dagster as dg
 
 from assets.report import REPORT
 from assets.scenes import key_of
-from pipelines.jobs import RETRY_TAGS, make_report, regenerate_synthetic
-
-_FINISHED = (dg.DagsterRunStatus.SUCCESS, dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.CANCELED)
-_UNFINISHED = [status for status in dg.DagsterRunStatus if status not in _FINISHED]
+from pipelines.jobs import RETRY_TAGS, UNFINISHED, make_report, regenerate_synthetic
 
 
 @dg.sensor(
@@ -19,7 +16,7 @@ _UNFINISHED = [status for status in dg.DagsterRunStatus if status not in _FINISH
 def report_follows(context: dg.SensorEvaluationContext) -> dg.RunRequest | dg.SkipReason:
     """Request one run of `make_report` where a regeneration ended after the report was made last."""
     instance, job = context.instance, regenerate_synthetic.name
-    if instance.get_runs(dg.RunsFilter(job_name=job, statuses=_UNFINISHED), limit=1):
+    if instance.get_runs(dg.RunsFilter(job_name=job, statuses=UNFINISHED), limit=1):
         return dg.SkipReason(f"runs of {job} have not ended yet")
     records = instance.get_run_records(
         dg.RunsFilter(job_name=job), limit=1, order_by="update_timestamp", ascending=False

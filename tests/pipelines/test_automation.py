@@ -11,11 +11,17 @@ from pathlib import Path
 
 import dagster as dg
 import pytest
+from dagster._core.remote_origin import (
+    ManagedGrpcPythonEnvCodeLocationOrigin,
+    RemoteJobOrigin,
+    RemoteRepositoryOrigin,
+)
+from dagster._core.types.loadable_target_origin import LoadableTargetOrigin
 
 from assets.automation import KEPT_TAGS
 from assets.drives import VERSIONS, versions_of
 from assets.offers import AGE_CHECK, RECIPE_CHECK
-from assets.scenes import DATA_VERSION, SCENES, key_of
+from assets.scenes import DATA_VERSION, PARTITION_TAG, SCENES, key_of
 from assets.workspace import Workspace, catalogue
 from nvsf_core.drives.kitti360.layout import DriveLayout
 from nvsf_core.errors import DataError
@@ -279,6 +285,27 @@ def test_a_scene_that_leaves_the_catalogue_is_no_partition_until_it_is_back(arri
     events = arrived.tick().asset_events
     assert {one.partition for one in events if isinstance(one, dg.AssetObservation)} == {"lane"}
     assert set(arrived.instance.get_dynamic_partitions(SCENES.name)) == {"tiny", "lane"}
+
+
+def test_a_scene_that_leaves_the_catalogue_takes_its_queued_run_along_and_waits_for_one_at_work(
+    arrived: Watched,
+) -> None:
+    (arrived.folder / "scenes.toml").write_text(TINY_CATALOGUE.replace('"tiny"', '"other"'))
+    job, tags = defs.resolve_job_def("train_scene"), {PARTITION_TAG: "tiny"}
+    target = LoadableTargetOrigin(module_name="pipelines.definitions")
+    location = ManagedGrpcPythonEnvCodeLocationOrigin(target, location_name="nvsf")
+    origin = RemoteJobOrigin(RemoteRepositoryOrigin(location, "__repository__"), "train_scene")
+    queued, at_work = (
+        arrived.instance.create_run_for_job(job, tags=tags, status=status, remote_job_origin=origin)
+        for status in (dg.DagsterRunStatus.QUEUED, dg.DagsterRunStatus.STARTED)
+    )
+    arrived.tick()
+    status = arrived.instance.get_run_by_id(queued.run_id).status
+    assert status is dg.DagsterRunStatus.CANCELED, "else it fails for its partition, and the alarm is raised"
+    assert "tiny" in arrived.instance.get_dynamic_partitions(SCENES.name), "its steps would fail in Dagster"
+    arrived.instance.report_run_failed(at_work)
+    arrived.tick()
+    assert "tiny" not in arrived.instance.get_dynamic_partitions(SCENES.name)
 
 
 def test_automation_is_off_unless_it_is_asked_for_and_its_runs_keep_their_recipe() -> None:
