@@ -78,6 +78,11 @@ def test_every_container_has_all_variables_that_the_readme_lists_and_the_logs_of
         assert "logs:/opt/dagster/storage" in service["volumes"] and "/opt/dagster/storage " in image
 
 
+def test_a_worker_that_is_made_anew_knows_the_runs_of_the_old_one_by_its_host_name() -> None:
+    services = _read(DEPLOY / "compose.yaml")["services"]
+    assert services["worker"].get("hostname") == "worker", "else a container's id, another one each time"
+
+
 def _fails(command: list[str], environment: dict[str, str] | None = None) -> bool:
     done = subprocess.run(command, env=environment, capture_output=True, check=False)
     return done.returncode != 0
