@@ -5,7 +5,9 @@ would wait for all others.
 """
 
 import os
+import re
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 from nvsf_core.errors import NvsfError
@@ -41,9 +43,11 @@ def section_of(
     kept = _kept(earlier, name, source)
     if kept is not None:
         scene = _collected(home, name, failure, with_pictures=False)
-        _take_over(earlier / PAGES / name, folder / PAGES / name)
+        _take_over(earlier, folder, _pages_of(kept, name))
     else:
         scene, kept = scene_section(with_view_files(folder, home, _collected(home, name, failure)))
+        if not _is_whole(scene):
+            return scene, kept
     path = folder / _SECTIONS / f"{name}.html"
     path.parent.mkdir(exist_ok=True)
     path.write_text(f"{_first_line(source)}{kept}", encoding="utf-8", errors="backslashreplace")
@@ -52,30 +56,39 @@ def section_of(
 
 def _kept(earlier: Path, name: str, source: str) -> str | None:
     """The section in the report before, if it was made from the same and its pages are there."""
+    path = earlier / _SECTIONS / f"{name}.html"
     try:
-        text = (earlier / _SECTIONS / f"{name}.html").read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8") if path.is_file() else ""
     except (OSError, UnicodeDecodeError):
         return None
     section = text.removeprefix(_first_line(source))
-    links_pages = f'href="{PAGES}/{name}/' in section
-    is_whole = section != text and (not links_pages or (earlier / PAGES / name).is_dir())
-    return section if is_whole else None
+    is_there = section != text and all((earlier / page).is_file() for page in _pages_of(section, name))
+    return section if is_there else None
+
+
+def _is_whole(scene: SceneOutputs) -> bool:
+    """Whether all that was asked for is shown: what could not be read may be mended, and no record tells."""
+    return not scene.failure and not any(one.note for run in scene.runs for one in run.pictures)
+
+
+def _pages_of(section: str, name: str) -> list[str]:
+    """The pages that a scene's section links to, by their places in the report's folder."""
+    return re.findall(rf'href="({PAGES}/{re.escape(name)}/[^"/]+)"', section)
 
 
 def _first_line(source: str) -> str:
     return f"<!-- {source} -->\n"
 
 
-def _take_over(pages: Path, target: Path) -> None:
-    """Link a folder's files, or copy them where the disk knows no links; nothing if there is none."""
-    if not pages.is_dir():
-        return
-    target.mkdir(parents=True)
-    for page in pages.iterdir():
+def _take_over(earlier: Path, folder: Path, pages: Sequence[str]) -> None:
+    """Link pages of the report before, or copy them where the disk knows no links."""
+    for page in pages:
+        target = folder / page
+        target.parent.mkdir(parents=True, exist_ok=True)
         try:
-            os.link(page, target / page.name)
+            os.link(earlier / page, target)
         except OSError:
-            shutil.copyfile(page, target / page.name)
+            shutil.copyfile(earlier / page, target)
 
 
 def _collected(home: Path, name: str, failure: str | None, *, with_pictures: bool = True) -> SceneOutputs:
